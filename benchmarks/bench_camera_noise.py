@@ -3,7 +3,8 @@
 ``python benchmarks/bench_camera_noise.py [IMAGE...]`` judges four photographs of scikit-image, and named
 images, in windows of 224 x 224. A camera counts photons in linear light on a Bayer mosaic (variance A times the light,
 plus B squared), which is demosaiced, encoded as sRGB, and stored in 8 bit or as JPEG. The truth is the same image
-without noise. BM3D is run with 1, 1.5 and 2.2 times the true RMS noise, and its best result is reported.
+without noise. BM3D is run with 1, 1.5 and 2.2 times the true RMS noise, and its best result is reported;
+``--no-peers`` leaves it out.
 """
 
 from collections.abc import Iterator

@@ -21,7 +21,7 @@ def main() -> None:
     options = arguments(__doc__, "folders", required=True)
     rows = []
     for folder in options.folders:
-        found = {path.name: psnr_after(path, before) for path, before in images_of(folder)}
+        found = {path.relative_to(folder): psnr_after(path, image) for path, image in images_of(folder)}
         values = np.array(list(found.values()))
         shares = (f"{np.mean(values < limit):.1%}" for limit in (np.inf, 40, 35))
         worst = min(found, key=found.__getitem__)

@@ -20,7 +20,7 @@ from beltrami_cli.surface.grid_atlas import grid_atlas
 from harness import arguments, show
 
 LARGEST = 512  # pixels per side that are judged
-PHOTOGRAPHS = 4  # the most colourful ones take impulses
+COLOURFUL = 4  # number of images that take impulses, the most colourful ones
 TRIED: dict[str, list[float]] = {
     "_MIN_DEVIATIONS": [2.5, 4, 5], "_MIN_SHARE_OF_RANGE": [0.07, 0.15], "_WEAK_LIMIT": [0.2, 0.5],
     "_SAME_VALUE": [0.03, 0.12], "_MIN_CLUMPS": [10, 30], "_MAJORITY": [0.5, 0.8],
@@ -28,7 +28,7 @@ TRIED: dict[str, list[float]] = {
 
 
 def found_in(image: Array) -> Array:
-    """Return the mask of outliers that are found in an image, shape (H, W, N)."""
+    """Return the mask of outliers that are found in an image, shape (H, W)."""
     atlas = grid_atlas(image.shape[:2], 2, None, np.ones(image.shape[:2], bool))
     planes = np.zeros((image.shape[2], *atlas.kind.shape), np.float32)
     planes[:, 2:-2, 2:-2] = np.moveaxis(image, 2, 0)
@@ -73,7 +73,7 @@ def main() -> None:
     coloured = sorted((each for each in clean if each.shape[2] == 3), key=lambda each: -len(np.unique(each)))
     if not coloured:
         sys.exit("no PNG or JPEG file with colours in the folders")
-    spoiled = with_impulses(coloured[:PHOTOGRAPHS])
+    spoiled = with_impulses(coloured[:COLOURFUL])
     rows = [("as they are", *judge(clean, spoiled))]
     for name, values in TRIED.items():
         kept = getattr(outliers, name)

@@ -1,4 +1,8 @@
-"""Measure the processor time of each phase of progress on two textures: `_SECONDS` of jobs/progress.py."""
+"""Measure the processor time of each phase of progress on two textures: `_SECONDS` of jobs/progress.py.
+
+``--small N`` and ``--large N`` are their sides in texels. Time that does not grow with the number of texels is a column
+of its own.
+"""
 
 import tempfile
 import time

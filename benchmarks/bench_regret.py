@@ -4,7 +4,8 @@
 and again with the true RMS noise before clipping. The loss of a noisy image is the difference of both PSNRs, at least
 0. That of a clean image is the difference of its PSNR from 42 dB if it is below. All kinds have the same
 weight; noisy kinds contribute 70 %, clean kinds 30 %. Noise counts as not found if the result is the input although the
-true noise gains more than 0.5 dB.
+true noise gains more than 0.5 dB. ``--kinds A,B`` judges the kinds that begin with A or B, and ``--quick`` two cases of
+each kind; ``--readings`` prints a line for each case.
 
 Images are generated, photographs of scikit-image that the noise model is not trained on, and files of folders, which
 must not be training images either. For example, four packages of Debian::

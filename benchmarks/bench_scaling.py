@@ -1,8 +1,8 @@
 """Measure time and memory of `beltrami smooth` by the number of samples: vertices of PLY files, texels of OBJ files.
 
-``--most N`` limits the number of samples (10,000,000 take about 16 GB). ``--plot FILE`` draws a plot. ``--shuffled``
-puts vertices and faces in random order. ``--chosen`` lets the program choose parameters; otherwise five iterations are
-run. All runs use one thread.
+``--least N`` and ``--most N`` limit the number of samples (10,000,000 take about 16 GB). ``--plot FILE`` draws a plot.
+``--shuffled`` puts vertices and faces in random order. ``--chosen`` lets the program choose parameters; otherwise five
+iterations are run. All runs use one thread.
 """
 
 import math

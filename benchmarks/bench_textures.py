@@ -1,6 +1,7 @@
 """Compare time and memory of an iteration on textures with a pass of OpenCV's bilateral filter: ``make bench``.
 
-All iterations start from the noisy colours. They alternate with the peer, so that a busy machine slows both.
+All iterations start from the noisy colours. They alternate with the peer, so that a busy machine slows both. ``--texels
+N`` is the side of the texture, larger than 128; the table has medians of ``--repeats N`` runs.
 """
 
 import tempfile
@@ -36,19 +37,19 @@ def time_rows(folder: Path, texels: int, repeats: int) -> Iterator[Row]:
     scene, source = textures.torus(texels), folder / "noisy.obj"
     textures.write_obj(source, scene, scene.noisy)
     times: dict[str, list[float]] = {"bilateral": [], "set-up": [], "plain": [], "regularised": []}
+    peer = "cv2.bilateralFilter(d = 7, float32)"
     for _ in range(repeats):
         try:
             times["bilateral"].append(bilateral_seconds(scene.noisy[0]))
         except PeerError as missing:
-            times["bilateral"].append(np.nan)
-            yield "cv2.bilateralFilter", str(missing)
+            times["bilateral"], peer = [np.nan], str(missing)
         for kind in ("regularised", "plain"):
             setup, iteration = stage_seconds(source, guided=kind == "regularised")
             times[kind].append(iteration)
         times["set-up"].append(setup)
     seconds = {what: float(np.median(found)) for what, found in times.items()}
     covered = int(scene.covered[0].sum())
-    yield "cv2.bilateralFilter(d = 7, float32), per texel", f"{1e6 * seconds['bilateral'] / texels**2:.3f} us"
+    yield f"{peer}, per texel", f"{1e6 * seconds['bilateral'] / texels**2:.3f} us"
     for kind in ("plain", "regularised"):
         each = seconds[kind] / covered
         passes = each / (seconds["bilateral"] / texels**2)

@@ -1,7 +1,7 @@
 """Measure time of an iteration on triangle meshes by both solvers, and compare quality: ``make bench``.
 
-Times are CPU time of one thread per vertex and iteration, medians of pairs of runs. ``--level 5`` uses small meshes,
-for a quick check that everything runs.
+Times are CPU time of one thread per vertex and iteration, medians of ``--repeats N`` pairs of runs. ``--level 5`` uses
+small meshes, for a quick check that everything runs.
 """
 
 import math

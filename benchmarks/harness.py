@@ -17,7 +17,7 @@ import json
 import os
 import subprocess
 import sys
-from argparse import ArgumentParser, Namespace
+from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
@@ -41,8 +41,8 @@ _MEASURED = (
 
 
 def arguments(doc: str, paths: str = "", *, required: bool = False, **described: Any) -> Namespace:
-    """Parse the command line: a list of paths, and flags or values with their defaults."""
-    parser = ArgumentParser(description=doc.splitlines()[0])
+    """Parse the command line: a list of paths, and flags or values with their defaults; `doc` describes them."""
+    parser = ArgumentParser(description=doc, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows there")
     if paths:
         parser.add_argument(paths, nargs="+" if required else "*", type=Path)
@@ -69,22 +69,10 @@ def as_text(value: Any) -> str:
 def smooth_apart(source: Path, target: Path, *words: str) -> tuple[dict[str, Any], float]:
     """Run ``beltrami smooth`` in its own process; return its report, and its processor time in seconds."""
     report = target.with_name("report.json")
-    command = (
-        "-P",
-        "-m",
-        "beltrami_cli",
-        "smooth",
-        source,
-        target,
-        "--quiet",
-        "--overwrite",
-        "--report",
-        report,
-    )
-    run = subprocess.run(
-        [sys.executable, "-c", _MEASURED, sys.executable, *map(str, command), *words],
-        check=True, cwd=ROOT, capture_output=True, text=True,
-    )  # fmt: skip
+    files = source, target, "--report", report
+    command = sys.executable, "-P", "-m", "beltrami_cli", "smooth", *map(str, files), "--quiet", "--overwrite"
+    measured = [sys.executable, "-c", _MEASURED, *command, *words]
+    run = subprocess.run(measured, check=True, cwd=ROOT, capture_output=True, text=True)
     return json.loads(report.read_text()), float(run.stdout)
 
 

@@ -1,4 +1,4 @@
-"""Other programs, tuned on the truth; `PeerError` is raised if one is not installed or cannot be loaded."""
+"""Other programs, tuned on the truth."""
 
 import importlib
 import itertools
@@ -17,8 +17,8 @@ Score = Callable[[Array], Any]  # the PSNR of an image, or a tuple that begins w
 MAX_ITERATIONS = 8  # of the bilateral filter
 
 
-class PeerError(Exception):
-    """The peer cannot be used here; the message says why."""
+class PeerError(SystemExit):
+    """A program is not installed or cannot be loaded. Unless this is caught, a scenario ends with the message."""
 
 
 def needed(name: str) -> Any:

@@ -35,6 +35,13 @@ def test_all_scenarios_load():
     subprocess.run([sys.executable, "-c", loaded], cwd=BENCHMARKS, check=True)
 
 
+@pytest.mark.slow  # about a second
+def test_a_program_that_is_not_installed_is_named_in_one_line():
+    command = [sys.executable, "-c", "import peers; peers.needed('no_such_peer')"]
+    run = subprocess.run(command, cwd=BENCHMARKS, capture_output=True, text=True, check=False)
+    assert (run.returncode, run.stderr) == (1, "no_such_peer: not installed\n")
+
+
 @pytest.mark.slow  # about a second each
 @pytest.mark.parametrize("name", ["clean", "outliers", "regret"])
 def test_folders_without_images_are_refused_in_one_line(name, tmp_path):

@@ -184,7 +184,8 @@ class _Search:
 
     def _with_common_value(self, candidates: _Candidates) -> Int64s:
         """Return the outliers that have the most frequent value, if they are spread at random."""
-        strongest, tolerance, none = candidates.strongest, _SAME_VALUE * self.colour_range, np.zeros(0, np.int64)
+        strongest, none = candidates.strongest, np.zeros(0, np.int64)
+        tolerance = _SAME_VALUE * self.colour_range
         if len(strongest) < _MIN_CLUMPS:
             return none
         value = _frequent_value(strongest.compared.colours, tolerance)
