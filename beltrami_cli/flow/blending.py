@@ -186,7 +186,7 @@ def blend_means_in_place(
 
     blocks = in_blocks(
         level.axis, *changes, residuals, means.signs, unclipped,
-        np.expand_dims(level.relative, level.axis), np.moveaxis(terms, 0, level.axis),
+        np.expand_dims(level.relative_variances, level.axis), np.moveaxis(terms, 0, level.axis),
     )  # fmt: skip
     for d, d_perturbed, residual, signs, share, relative, block in blocks:
         # The mean of colours with clipped noise moves by the unclipped share of a change: its derivative.

@@ -78,7 +78,7 @@ class RiskEstimate:
     ) -> RiskEstimate:
         """Prepare the estimate for noise of standard deviation `sigma` by channel, shape (N,)."""
         noisy, size = trial.scored(trial.start), KERNEL_PERTURBATION * float(np.sqrt(np.square(sigma).mean()))
-        variance = np.square(sigma) * _unclipped_variance(trial, noisy) * trial.relative
+        variance = np.square(sigma) * _unclipped_variance(trial, noisy) * trial.relative_variance
         to_input = 1.0 if stabiliser is None else np.square(stabiliser.slopes(noisy.T)).T
         signs = [trial.scored(drawn) for drawn in trial.signs]
         # Weights are 1 for signs. Correlated perturbations have the size of the noise in each channel, and need no

@@ -70,7 +70,7 @@ class CoarseLevel(Domain):
     axis: ClassVar[int]
     """The axis of the channels in a stack."""
 
-    relative: Float32s
+    relative_variances: Float32s
     """Variance of the noise of each mean, relative to `noise_ratio`."""
 
     @abstractmethod

@@ -243,7 +243,7 @@ class SampleTrial:
         return len(self.scored(self.start))
 
     @property
-    def relative(self) -> Float32s | float:
+    def relative_variance(self) -> Float32s | float:
         """The variance of the noise relative to its mean."""
         return 1.0 if self.part.noise.relative is None else self.scored(self.part.noise.relative)
 

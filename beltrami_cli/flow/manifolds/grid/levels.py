@@ -40,9 +40,9 @@ class Squares(CoarseLevel, Regions):
         kinds, counts = sort_squares(atlas.kind, side)
         self._kinds, self._counts = large_arrays.kept(kinds), large_arrays.kept(counts)
         self._varies = cell_variances is not None
-        self.relative = np.broadcast_to(np.float32(1), kinds.shape)
+        self.relative_variances = np.broadcast_to(np.float32(1), kinds.shape)
         if cell_variances is not None:
-            self.relative = self.means(cell_variances)[0]
+            self.relative_variances = self.means(cell_variances)[0]
 
     def means(self, stack: Float32s) -> Float32s:
         """Average planes, shape (N, R, C); 0 in empty squares."""
@@ -71,9 +71,9 @@ class Squares(CoarseLevel, Regions):
         stacks = [noisy, pilot]
         if not shared:
             fewer = np.maximum(self._counts, 1) * np.float32(self.noise_ratio)
-            stacks.append((self.relative / fewer)[None])
+            stacks.append((self.relative_variances / fewer)[None])
         elif self._varies:
-            stacks.append(self.relative[None])
+            stacks.append(self.relative_variances[None])
         return collaborate_on_canvas(
             self._kinds, stacks, mixing, self._threads, progress, chunking=self._chunking
         )

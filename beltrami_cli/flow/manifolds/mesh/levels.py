@@ -39,9 +39,10 @@ class Clusters(CoarseLevel):
     axis: ClassVar[int] = 1
     width = 3.0
 
-    def __init__(self, samples: Graph, level: Level, relative: Float32s) -> None:
+    def __init__(self, samples: Graph, level: Level, relative_variances: Float32s) -> None:
         self._samples, self._level, self._graph = samples, level, level.graph
-        self._counts, self.noise_ratio, self.relative = level.counts, level.noise, relative
+        self._counts, self.noise_ratio = level.counts, level.noise
+        self.relative_variances = relative_variances
 
     def means(self, stack: Stack) -> Float32s:
         return self._level.means(stack)
@@ -55,8 +56,10 @@ class Clusters(CoarseLevel):
         shared: bool = False,
     ) -> Stack:  # fmt: skip
         """Estimate means from patches of clusters; `shared` noise does not fall with their size."""
-        relative = self.relative if shared else self.relative / (self._counts * np.float32(self.noise_ratio))
-        return collaborate_on_graph(self._graph, noisy, pilot, mixing, relative, progress, is_whole=shared)
+        variances = self.relative_variances
+        if not shared:
+            variances = variances / (self._counts * np.float32(self.noise_ratio))
+        return collaborate_on_graph(self._graph, noisy, pilot, mixing, variances, progress, is_whole=shared)
 
     def add_enlarged_in_place(self, stack: Stack, changes: Stack) -> None:
         """Add changes of clusters to their samples, smoothed like bilinear interpolation of squares."""
