@@ -37,7 +37,7 @@ def edges_of(faces):
 class Blur:
     """A trial whose iterations average over the four neighbours on a torus, weighed by likeness in all channels."""
 
-    relative = 1.0
+    relative_variance = 1.0
 
     def __init__(self, colours, signs):
         self.start, self.signs = colours, signs
