@@ -30,6 +30,7 @@ from formats.usd_files import coloured as usd_colours
 from formats.volume_files import npz
 from hostile.folders import write
 from hostile.textured_models import write_model
+from small_models import ply
 
 
 @pytest.mark.parametrize("line", FORMATS, ids=lambda line: line.name)
@@ -47,6 +48,21 @@ OBJ_WITH_BOTH = (
     b"mtllib m.mtl\nv 0 0 0 0 90 140\nv 1 0 0 0 90 140\nv 0 1 0 0 90 140\nvt 0 0\n"
     b"usemtl shown\nf 1/1 2/1 3/1\nusemtl lost\nf 1/1 2/1 3/1\n"
 )
+
+
+@pytest.mark.parametrize(
+    ("name", "data"),
+    [
+        ("x.obj", OBJ_WITH_BOTH),
+        ("x.off", b"OFF\n4 2 0\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n3 0 1 2 255 0 0\n3 0 2 3 0 255 0\n"),
+        ("x.xyz", b"0 0 0 4000 0 0\n1 0 0 0 3000 0\n0 1 0 7 8 9\n"),
+        ("x.ply", ply("float x y z, ushort red green blue", [[0, 0, 0, 4000, 1, 2], [1, 0, 0, 5, 6, 7]])),
+    ],
+)
+def test_notices_on_vertex_colours_come_along_to_other_formats(name, data):
+    document = open_bytes(data, name, None)
+    assert document.coloured_vertices().notices
+    assert {*document.coloured_vertices().notices} <= {*document.vertex_mesh().notices}
 
 
 def test_notices_of_the_file_do_not_depend_on_which_parts_are_read(tmp_path):

@@ -128,27 +128,31 @@ def lost_metadata(image: DecodedImage, data: bytes, file_format: str) -> tuple[s
 
 
 def _lost_attributes(image: DecodedImage, data: bytes, file_format: str) -> set[str]:
-    """Return the names of the attributes in OpenImageIO's view that the new file lacks."""
-    now = set[str]()
-    if file_format not in EXTRA_CODECS:
-        with reading_back(), opened(data, name=image.name) as (file, _):
-            if file is None:
-                raise unwritten(image.name, file_format, "it is not read back")
-            now = {each.name.lower() for each in file.spec().extra_attribs}
-    exif, new_exif = (
-        tiff.exif_tags(_exif_of(*each)) for each in ((image.source, image.format), (data, file_format))
-    )
-    technical = _STORAGE if file_format == image.format else (*TECHNICAL, "thumbnail_")
-    # In another format OpenImageIO calls some of EXIF otherwise, or does not read them.
-    seen = (*technical, *_OF_EXIF) if exif and new_exif else technical
-    lost = {
-        f"EXIF tag {tag}" for tag in exif.keys() - new_exif.keys() if new_exif or tag.endswith(_MAKER_NOTE)
-    }
-    return lost | {
+    """Return the names of the attributes in OpenImageIO's view, and of the EXIF tags, that the new file lacks."""
+    exif = tiff.exif_tags(_exif_of(image.source, image.format))
+    new_exif = tiff.exif_tags(_exif_of(data, file_format))
+    tags = [tag for tag in exif if tag not in new_exif and (new_exif or tag.endswith(_MAKER_NOTE))]
+    # Prefixes of attributes that are compared otherwise, or not at all.
+    left_out = _STORAGE if file_format == image.format else (*TECHNICAL, "thumbnail_")
+    if exif and new_exif:  # in another format OpenImageIO calls some of EXIF otherwise, or does not read them
+        left_out = (*left_out, *_OF_EXIF)
+    kept = _attributes_of(data, file_format, image.name)
+    lost = [
         each.name
         for each in image.spec.extra_attribs
-        if not each.name.startswith(seen) and each.name.lower() not in now and not _is_default(each)
-    }
+        if not each.name.startswith(left_out) and each.name.lower() not in kept and not _is_default(each)
+    ]
+    return {*lost, *(f"EXIF tag {tag}" for tag in tags)}
+
+
+def _attributes_of(data: bytes, file_format: str, name: str) -> set[str]:
+    """Return the lower-case names of the attributes of a new file in OpenImageIO's view."""
+    if file_format in EXTRA_CODECS:
+        return set()
+    with reading_back(), opened(data, name=name) as (file, _):
+        if file is None:
+            raise unwritten(name, file_format, "it is not read back")
+        return {each.name.lower() for each in file.spec().extra_attribs}
 
 
 def _is_default(attribute: Any) -> bool:
