@@ -13,9 +13,9 @@ from beltrami_cli.flow.manifolds.grid.canvas import fill_canvas, on_canvas
 from beltrami_cli.flow.manifolds.grid.manifold import CanvasColours, ColouredCanvas
 from beltrami_cli.flow.manifolds.grid.seams import find_colour_jumps, halo_beyond
 from beltrami_cli.flow.manifolds.grid.surroundings import CanvasSurroundings
-from beltrami_cli.flow.manifolds.manifold import Outliers
 from beltrami_cli.flow.manifolds.mesh.manifold import ColouredMesh, MeshColours
 from beltrami_cli.flow.manifolds.mesh.surroundings import MeshSurroundings
+from beltrami_cli.flow.manifolds.stabilised_colours import Outliers
 from beltrami_cli.flow.noise.clusters import VertexClusters
 from beltrami_cli.flow.noise.grid_squares import GridSquares
 from beltrami_cli.flow.noise.model import NoiseModel

@@ -19,7 +19,7 @@ from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
 from beltrami_cli.flow.corrections.clumps import small_clumps
 from beltrami_cli.flow.corrections.comparison import ColouredSamples, Compared, Surroundings, medians_of
 from beltrami_cli.flow.corrections.spread import are_spread_at_random
-from beltrami_cli.flow.manifolds.manifold import Outliers
+from beltrami_cli.flow.manifolds.stabilised_colours import Outliers
 from beltrami_cli.flow.noise_amount import COLOURS
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface import large_arrays

@@ -18,7 +18,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
+from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
 from beltrami_cli.flow.chunks import IN_ONE_PIECE, Chunk, Chunking, KernelCounts, Resources
 from beltrami_cli.flow.manifolds.beta import choose_beta
 from beltrami_cli.flow.manifolds.domain import CoarseLevel, Regions
@@ -28,6 +28,7 @@ from beltrami_cli.flow.manifolds.iteration import Averaged, Metric, SampledKerne
 from beltrami_cli.flow.manifolds.moving_positions import MovingPositions
 from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.manifolds.search_range import Rule, SearchRange
+from beltrami_cli.flow.manifolds.stabilised_colours import Outliers
 from beltrami_cli.flow.mixing import Mixing
 from beltrami_cli.flow.noise.model import NoiseModel
 from beltrami_cli.flow.parameters import KernelParameters
@@ -38,29 +39,6 @@ from beltrami_cli.surface.large_arrays import Droppable
 # vertex colours and textures at sigma 20 of 255, with t = 2.4, a growth of 2, two regularised and three plain
 # iterations, has its flat optimum here.
 _CONTRAST = 0.8
-
-
-@dataclass(frozen=True)
-class Outliers:
-    """The K samples that were filled, and their colours before."""
-
-    samples: Int64s  # numbers among all samples of the surface
-    channels: Bools  # the channels that were filled, shape (K, N)
-    colours: Float32s  # shape (K, N)
-    share: float  # of all samples
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class StabilisedColours:
-    """The colours of a manifold: without outliers, and with stabilised variance of the noise.
-
-    Parameters and results are in units of the input's colours. `NoiseModel.to_input` converts colours back;
-    `beta_to_input`, `difference_to_input` and `square_to_input` convert measurements.
-    """
-
-    stack: Stack
-    noise: NoiseModel  # of the stack
-    outliers: Outliers | None = None  # that were filled
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

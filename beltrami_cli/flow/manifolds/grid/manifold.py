@@ -38,10 +38,11 @@ from beltrami_cli.flow.manifolds.iteration import (
     at_step,
     kernel_values,
 )
-from beltrami_cli.flow.manifolds.manifold import Manifold, SampleTrial, StabilisedColours
+from beltrami_cli.flow.manifolds.manifold import Manifold, SampleTrial
 from beltrami_cli.flow.manifolds.metric_channels import gaussian_for, joined_channels
 from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.manifolds.search_range import BUDGET_ON_GRIDS, ON_GRIDS, RULE_ON_GRIDS, wanted_probes
+from beltrami_cli.flow.manifolds.stabilised_colours import StabilisedColours
 from beltrami_cli.flow.mixing import Mixing
 from beltrami_cli.flow.parameters import KernelParameters, Space
 from beltrami_cli.surface import large_arrays

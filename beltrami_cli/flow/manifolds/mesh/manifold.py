@@ -23,7 +23,7 @@ from beltrami_cli.flow.manifolds.iteration import (
     at_step,
     kernel_values,
 )
-from beltrami_cli.flow.manifolds.manifold import Manifold, SampleTrial, StabilisedColours
+from beltrami_cli.flow.manifolds.manifold import Manifold, SampleTrial
 from beltrami_cli.flow.manifolds.mesh.fingerprints import fingerprints, quantised
 from beltrami_cli.flow.manifolds.mesh.geometry import KernelSolver, MeshGeometry, MeshMetric, rank_in
 from beltrami_cli.flow.manifolds.mesh.kernel_work import without_hubs
@@ -36,6 +36,7 @@ from beltrami_cli.flow.manifolds.metric_channels import MetricChannels, gaussian
 from beltrami_cli.flow.manifolds.moving_positions import MovingPositions, PositionParameters
 from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.manifolds.search_range import ON_MESHES, RULE_ON_MESHES, wanted_probes
+from beltrami_cli.flow.manifolds.stabilised_colours import StabilisedColours
 from beltrami_cli.flow.mixing import Mixing
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.vertex_graph import Graph
