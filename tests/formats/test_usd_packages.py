@@ -28,9 +28,12 @@ from formats.image_files import encode
 from formats.tile_files import TILES, phantom
 from formats.usd_files import (
     BOUND,
+    COLOURS,
     GIVEN,
+    HEADER,
     PICTURE,
     POINTS,
+    coloured,
     material_text,
     members,
     mesh_text,
@@ -94,6 +97,16 @@ def test_tiles_in_a_package_are_one_surface(smoothed, tmp_path):
         wanted = whole[(1 - v) * side : (2 - v) * side, u * side : (u + 1) * side]
         assert np.abs(tile - wanted).max() <= 1
     assert len(check_files(tmp_path / "in" / "scan.usdz", tmp_path / "new.usdz").differences) == 4
+
+
+@pytest.mark.usefixtures("usd_core_here")
+def test_layers_that_are_named_as_tiles_are_left_alone_in_a_package(tmp_path):
+    """Such a name was asked for again and again."""
+    text = scene(mesh_text(coloured(COLOURS))).replace("(\n", "(\n    subLayers = [@b.<UDIM>.usda@]\n", 1)
+    files = [("a.usda", text.encode()), ("b.1001.usda", HEADER.encode())]
+    document = open_document(str(package(tmp_path / "a.usdz", files)))
+    assert document.has_vertex_colours()
+    assert document.notices == ("'b.<UDIM>.usda' is not in the package, and is left alone.",)
 
 
 @pytest.mark.usefixtures("usd_core_here")

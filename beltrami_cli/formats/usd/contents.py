@@ -16,7 +16,7 @@ Count = Literal[
     "animated", "bare", "flat", "further", "hidden", "instanced", "no mesh", "transparent", "uncoloured", "unfit",
     "unread",
 ]  # fmt: skip
-"""What is counted of a scene: parts that are skipped or special."""
+"""What is counted of a scene: parts that are skipped or special, most of which `document` has a notice for."""
 
 
 class SceneRequest(TypedDict):
@@ -97,9 +97,8 @@ class SceneContents:
     unit: float  # metres
     variants: tuple[str, ...]
     arrays: Mapping[str, Array]
-    unread: Mapping[str, Obstacle] = field(
-        default_factory=dict
-    )  # layers by their paths, known where they are read
+    # Layers that are not read, by their paths; known outside of the process.
+    unread: Mapping[str, Obstacle] = field(default_factory=dict)
 
     def to_message(self) -> Message:
         return asdict(replace(self, arrays={})), dict(self.arrays)

@@ -24,7 +24,7 @@ from beltrami_cli.surface.precision import require_finite, require_single
 from beltrami_cli.surface.records import Frame, Material, MeshContents
 from beltrami_cli.surface.slots import SLOTS, Slot
 
-_COUNTS: dict[Count, str] = {
+_COUNTED: dict[Count, str] = {
     "instanced": "{} mesh(es) are instances of others; each is smoothed once, at its first place",
     "hidden": "{} mesh(es) are invisible, or for proxies and guides, and are left as they are",
     "flat": "{} mesh(es) have one colour, or one for each face, which is left as it is",
@@ -58,21 +58,21 @@ class UsdDocument(Document):
     @property
     def notices(self) -> tuple[str, ...]:
         unread = (f"{each.cause}{IGNORED}" for each in self._unread_layers())
-        return (*unread, *(f"{each.cause}." for each in self._uncoloured_parts()))
+        return (*unread, *(f"{each.cause}." for each in self._counted_parts()))
 
     @property
     def obstacles(self) -> tuple[Obstacle, ...]:
-        return (*self._unread_layers(), *self._uncoloured_parts())
+        return (*self._unread_layers(), *self._counted_parts())
 
     def _unread_layers(self) -> list[Obstacle]:
         unread = self._contents.unread.items()
         return [Obstacle(f"'{path}' {cause}", remedy) for path, (cause, remedy) in unread]
 
-    def _uncoloured_parts(self) -> list[Obstacle]:
+    def _counted_parts(self) -> list[Obstacle]:
         counts = self._contents.counts
         return [
             Obstacle(cause.format(number), _REMEDIES.get(key, ""))
-            for key, cause in _COUNTS.items()
+            for key, cause in _COUNTED.items()
             if (number := counts.get(key))
         ]
 

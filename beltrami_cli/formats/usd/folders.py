@@ -14,8 +14,8 @@ _TOP = PurePosixPath()
 class UsdFolder(ModelFolder):
     """A folder; files outside of it are refused, since usd-core gets the layers in a folder of their own."""
 
-    def locate_any(self, pattern: str, within: PurePosixPath = _TOP) -> str:
-        located = super().locate_any(pattern, within)
+    def locate(self, name: str, within: PurePosixPath = _TOP) -> str:
+        located = super().locate(name, within)
         if is_outside(located):
             cause = "lies outside the model's folder, and USD files there are not read"
             remedy = "copy all files of the scene into one folder, or write it as one package (usdzip)"
@@ -30,16 +30,23 @@ class PackageFolder(ModelFolder):
         super().__init__(None)
         self._package = package
 
-    def locate_any(self, pattern: str, within: PurePosixPath = _TOP) -> str:
-        path = within / pattern
-        if has_token(pattern):
-            members = map(PurePosixPath, self._package.members)
-            names = [member.name for member in members if member.parent == path.parent]
-            tiles = found_tiles(path.name, names)
-            self.tiles[pattern] = {tile: str(path.with_name(file)) for tile, file in tiles.items()}
-        if pattern not in self._package.members and not self.tiles.get(pattern):
+    def locate(self, name: str, within: PurePosixPath = _TOP) -> str:
+        path = str(within / name)
+        if path not in self._package.members:
             raise UnfitReferenceError("is not in the package")
-        return pattern
+        return path
+
+    def locate_any(self, pattern: str, within: PurePosixPath = _TOP) -> str:
+        if not has_token(pattern):
+            return self.locate(pattern, within)
+        path = within / pattern
+        members = map(PurePosixPath, self._package.members)
+        names = [member.name for member in members if member.parent == path.parent]
+        tiles = found_tiles(path.name, names)
+        if not tiles:
+            raise UnfitReferenceError("is not in the package")
+        self.tiles[str(path)] = {tile: str(path.with_name(file)) for tile, file in tiles.items()}
+        return str(path)
 
     def read(self, path: str, most: int = -1) -> bytes:
         return self._package.read(path)

@@ -8,55 +8,22 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from pxr import Usd, UsdGeom, UsdShade
+from pxr import Usd, UsdGeom
 
 from beltrami_cli.arrays import Array, Int64s
 from beltrami_cli.formats.usd.contents import ColourBlock, Count
-from beltrami_cli.formats.usd.materials import read_material
+from beltrami_cli.formats.usd.materials import Materials
 from beltrami_cli.formats.usd.mesh import (
     Polygons,
     VertexColours,
     are_shown,
+    attribute_values,
     coordinates_of,
     normals_of,
-    values_of,
 )
-from beltrami_cli.formats.usd.preview_surface import SURFACE_SLOTS, MaterialInputs
-from beltrami_cli.formats.usd.shown_images import AS_STORED, ShownImage
+from beltrami_cli.formats.usd.preview_surface import SURFACE_SLOTS
+from beltrami_cli.formats.usd.shown_images import AS_STORED, SlotImages
 from beltrami_cli.surface.records import Slot
-
-SlotImages = Mapping[Slot, ShownImage]
-"""The images of a material."""
-
-
-class Materials:
-    """The materials of a scene, numbered as meshes show them."""
-
-    def __init__(self) -> None:
-        self.inputs: list[MaterialInputs] = []
-        self.images: list[SlotImages] = []
-        self._number_of: dict[str, int] = {}  # by path
-
-    def of_polygons(self, prim: Any, count: int) -> Int64s:
-        """Return the numbers of the materials of a mesh's polygons, which may be bound to subsets of them; -1: none."""
-        binding = UsdShade.MaterialBindingAPI(prim)
-        numbers = np.full(count, self._number(binding.ComputeBoundMaterial()[0]))
-        for subset in binding.GetMaterialBindSubsets():
-            bound = UsdShade.MaterialBindingAPI(subset.GetPrim()).ComputeBoundMaterial()[0]
-            chosen = np.array(subset.GetIndicesAttr().Get() or [], np.int64)
-            numbers[chosen[(chosen >= 0) & (chosen < count)]] = self._number(bound)
-        return numbers
-
-    def _number(self, material: Any) -> int:
-        if not material:
-            return -1
-        path = str(material.GetPath())
-        if path not in self._number_of:
-            self._number_of[path] = len(self.inputs)
-            inputs, images = read_material(material)
-            self.inputs.append(inputs)
-            self.images.append(images)
-        return self._number_of[path]
 
 
 @dataclass
@@ -95,7 +62,7 @@ class Geometry:
 
     def _add_mesh(self, prim: Any) -> None:
         mesh, time = UsdGeom.Mesh(prim), Usd.TimeCode.EarliestTime()
-        points = values_of(mesh.GetPointsAttr()).reshape(-1, 3)
+        points = attribute_values(mesh.GetPointsAttr()).reshape(-1, 3)
         matrix = np.array(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(time))
         polygons = Polygons.of(mesh, len(points), is_mirrored=bool(np.linalg.det(matrix[:3, :3]) < 0))
         material_of = self.materials.of_polygons(prim, len(polygons.sizes))

@@ -104,7 +104,7 @@ class Layers:
                 raise UnfitReferenceError("is not a USD layer; only .usd, .usda and .usdc are read", remedy)
             if wanted in self.data:
                 raise UnfitReferenceError("names a layer in a way that is not understood")
-            file = self.folder.locate_any(wanted)
+            file = self.folder.locate(wanted)
             if file not in self.data:
                 self.data[file] = self.folder.read(file)
         except UnfitReferenceError as error:

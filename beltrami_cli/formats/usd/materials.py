@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+from pxr import UsdShade
+
+from beltrami_cli.arrays import Int64s
 from beltrami_cli.formats.usd.preview_surface import NEUTRAL, NUMBERS, SURFACE_SLOTS, MaterialInputs
-from beltrami_cli.formats.usd.shown_images import ShownImage, image_at, numbers_of, sources_of
+from beltrami_cli.formats.usd.shown_images import ShownImage, SlotImages, image_at, numbers_of, sources_of
 from beltrami_cli.surface.records import Slot
 
 # The colour inputs of MaterialX surfaces; an image may be connected to each.
@@ -19,7 +22,37 @@ _MTLX: dict[str, dict[Slot, str]] = {
 _UNFIT = " laid out otherwise than in glTF"
 
 
-def read_material(material: Any) -> tuple[MaterialInputs, dict[Slot, ShownImage]]:
+class Materials:
+    """The materials of a scene, numbered as meshes show them."""
+
+    def __init__(self) -> None:
+        self.inputs: list[MaterialInputs] = []
+        self.images: list[SlotImages] = []
+        self._number_of: dict[str, int] = {}  # by path
+
+    def of_polygons(self, prim: Any, count: int) -> Int64s:
+        """Return the numbers of the materials of a mesh's polygons, which may be bound to subsets of them; -1: none."""
+        binding = UsdShade.MaterialBindingAPI(prim)
+        numbers = np.full(count, self._number(binding.ComputeBoundMaterial()[0]))
+        for subset in binding.GetMaterialBindSubsets():
+            bound = UsdShade.MaterialBindingAPI(subset.GetPrim()).ComputeBoundMaterial()[0]
+            chosen = np.array(subset.GetIndicesAttr().Get() or [], np.int64)
+            numbers[chosen[(chosen >= 0) & (chosen < count)]] = self._number(bound)
+        return numbers
+
+    def _number(self, material: Any) -> int:
+        if not material:
+            return -1
+        path = str(material.GetPath())
+        if path not in self._number_of:
+            self._number_of[path] = len(self.inputs)
+            inputs, images = _read_material(material)
+            self.inputs.append(inputs)
+            self.images.append(images)
+        return self._number_of[path]
+
+
+def _read_material(material: Any) -> tuple[MaterialInputs, SlotImages]:
     """Return the inputs of a material, and the image that it shows in each slot."""
     prim, surface = material.GetPrim(), material.ComputeSurfaceSource()[0]
     if surface and surface.GetIdAttr().Get() == "UsdPreviewSurface":
@@ -29,7 +62,7 @@ def read_material(material: Any) -> tuple[MaterialInputs, dict[Slot, ShownImage]
     return MaterialInputs(prim.GetName(), _factors(images), is_unread=is_unread), images
 
 
-def _read_preview_surface(surface: Any, name: str) -> tuple[MaterialInputs, dict[Slot, ShownImage]]:
+def _read_preview_surface(surface: Any, name: str) -> tuple[MaterialInputs, SlotImages]:
     images, lost = _of_preview_surface(surface)
     values, has_alpha = _numbers(surface) | _factors(images), False
     opacity, base = image_at(surface, "opacity"), images.get("baseColor")
@@ -46,7 +79,7 @@ def _read_preview_surface(surface: Any, name: str) -> tuple[MaterialInputs, dict
     return MaterialInputs(name, values, has_alpha, lost), images
 
 
-def _of_preview_surface(surface: Any) -> tuple[dict[Slot, ShownImage], list[str]]:
+def _of_preview_surface(surface: Any) -> tuple[SlotImages, list[str]]:
     """Return the images of a surface by slot, and those that are lost, in words."""
     images, lost = dict[Slot, ShownImage](), list[str]()
     for slot, described in SURFACE_SLOTS.items():
@@ -83,7 +116,7 @@ def _has_effect(surface: Any, name: str, neutral: float) -> bool:
     return bool(sources_of(surface, name)) and numbers_of(surface, name) != [neutral]
 
 
-def _factors(images: Mapping[Slot, ShownImage]) -> dict[str, Any]:
+def _factors(images: SlotImages) -> dict[str, Any]:
     """Return the scales of images as values of the inputs that the images replace."""
     factors: dict[str, Any] = {}
     for slot, shown in images.items():
@@ -91,7 +124,7 @@ def _factors(images: Mapping[Slot, ShownImage]) -> dict[str, Any]:
     return factors
 
 
-def _of_materialx(material: Any) -> dict[Slot, ShownImage]:
+def _of_materialx(material: Any) -> SlotImages:
     """Return the colour images of a MaterialX surface, by slot."""
     surface = material.ComputeSurfaceSource("mtlx")[0]
     inputs = _MTLX.get(str(surface.GetIdAttr().Get()), {}) if surface else {}

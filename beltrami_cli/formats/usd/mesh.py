@@ -20,33 +20,33 @@ class Polygons:
     """All polygons of a mesh, with the same winding."""
 
     sizes: Int64s
-    corner: Int64s  # which of the stored corners each is
-    stored: Int64s  # the vertices of the stored corners
-    points: int  # how many vertices there are
+    order: Int64s  # which of the stored corners each corner is
+    stored_vertex: Int64s  # of the stored corners
+    point_count: int
 
     @classmethod
-    def of(cls, mesh: Any, points: int, *, is_mirrored: bool) -> Polygons:
+    def of(cls, mesh: Any, point_count: int, *, is_mirrored: bool) -> Polygons:
         """Read the polygons of a mesh of so many points; ValueError if they do not fit."""
-        sizes = values_of(mesh.GetFaceVertexCountsAttr()).astype(np.int64)
-        stored = values_of(mesh.GetFaceVertexIndicesAttr()).astype(np.int64)
-        name, corner = mesh.GetPath(), np.arange(len(stored))
-        if (sizes < 0).any() or sizes.sum() != len(stored):
-            raise ValueError(f"{name}: its polygons have {sizes.sum()} corners, but there are {len(stored)}")
-        if len(stored) and (stored.min() < 0 or stored.max() >= points):
-            raise ValueError(f"{name}: a polygon names a vertex beyond the {points} of its mesh")
+        sizes = attribute_values(mesh.GetFaceVertexCountsAttr()).astype(np.int64)
+        vertex = attribute_values(mesh.GetFaceVertexIndicesAttr()).astype(np.int64)
+        name, order = mesh.GetPath(), np.arange(len(vertex))
+        if (sizes < 0).any() or sizes.sum() != len(vertex):
+            raise ValueError(f"{name}: its polygons have {sizes.sum()} corners, but there are {len(vertex)}")
+        if len(vertex) and (vertex.min() < 0 or vertex.max() >= point_count):
+            raise ValueError(f"{name}: a polygon names a vertex beyond the {point_count} of its mesh")
         if (mesh.GetOrientationAttr().Get() == "leftHanded") != is_mirrored:
-            corner = 2 * np.repeat(np.cumsum(sizes), sizes) - np.repeat(sizes, sizes) - 1 - corner
-        return cls(sizes, corner, stored, points)
+            order = 2 * np.repeat(np.cumsum(sizes), sizes) - np.repeat(sizes, sizes) - 1 - order
+        return cls(sizes, order, vertex, point_count)
 
     @property
     def vertex(self) -> Int64s:
-        return self.stored[self.corner]
+        return self.stored_vertex[self.order]
 
     def spread(self, values: Array, kind: str) -> Array | None:
         """Return values at the corners, by the kind of interpolation; None if they do not fit."""
-        if kind == "faceVarying" and len(values) == len(self.stored):
-            return values[self.corner]
-        return values[self.vertex] if kind in _SMOOTH and len(values) == self.points else None
+        if kind == "faceVarying" and len(values) == len(self.order):
+            return values[self.order]
+        return values[self.vertex] if kind in _SMOOTH and len(values) == self.point_count else None
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class VertexColours:
         return cls(
             colours,
             opacity=None if is_unfit else opacity,
-            vertex=polygons.stored if kind == "faceVarying" else np.arange(polygons.points),
+            vertex=polygons.stored_vertex if kind == "faceVarying" else np.arange(polygons.point_count),
             row=row,
             attribute=str(primvar.GetAttr().GetPath()),
             stored=np.array(primvar.Get(Usd.TimeCode.EarliestTime())).dtype.name,
@@ -87,7 +87,7 @@ class VertexColours:
         )
 
 
-def values_of(attribute: Any) -> Float64s:
+def attribute_values(attribute: Any) -> Float64s:
     return np.array(attribute.Get(Usd.TimeCode.EarliestTime()) if attribute.HasValue() else [], np.float64)
 
 

@@ -113,7 +113,7 @@ class MaterialInputs:
         )
 
 
-def values_of(material: Material) -> Values:
+def input_values(material: Material) -> Values:
     """Return the values of the inputs for a material of another format."""
     emission = [material.emission_strength * channel for channel in linear_colour(material.emission)]
     values = {

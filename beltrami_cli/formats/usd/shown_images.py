@@ -8,6 +8,7 @@ References
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +17,7 @@ from pxr import UsdShade
 
 from beltrami_cli.arrays import Float64s
 from beltrami_cli.formats.usd.stage import layer_of, placed
-from beltrami_cli.surface.records import Wrap
+from beltrami_cli.surface.records import Slot, Wrap
 
 _MTLX_IMAGES = ("ND_image_color3", "ND_image_color4", "ND_tiledimage_color3", "ND_tiledimage_color4")
 _MTLX_READERS = {"ND_geompropvalue_vector2": "geomprop", "ND_UsdPrimvarReader_vector2": "varname"}
@@ -61,6 +62,10 @@ class ShownImage:
     def is_at(self, other: ShownImage) -> bool:
         """Whether it is the same image in the same place; each may have a shader of its own."""
         return (self.file, self.mapping) == (other.file, other.mapping)
+
+
+SlotImages = Mapping[Slot, ShownImage]
+"""The images of a material."""
 
 
 def sources_of(shader: Any, name: str) -> list[Any]:

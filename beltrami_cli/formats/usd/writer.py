@@ -24,7 +24,7 @@ from beltrami_cli.formats.meshes.writing import (
 )
 from beltrami_cli.formats.usd.layers import binary_layer
 from beltrami_cli.formats.usd.package import packed
-from beltrami_cli.formats.usd.preview_surface import SURFACE_SLOTS, SurfaceSlot, values_of
+from beltrami_cli.formats.usd.preview_surface import SURFACE_SLOTS, SurfaceSlot, input_values
 from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.large_arrays import blocks
 from beltrami_cli.surface.precision import shortest_type
@@ -135,7 +135,7 @@ def _subsets(material_of: Int32s, names: list[str], root: str) -> Iterator[bytes
 
 def _material(name: str, material: Material, file_of: dict[MeshImage, str], path: str) -> str:
     """Return the lines of a material with a UsdPreviewSurface."""
-    values = values_of(material)
+    values = input_values(material)
     inputs = {
         target: f"color3f inputs:{target} = {_row(value)}" if isinstance(value, list)
         else f"float inputs:{target} = {value:.6g}"
