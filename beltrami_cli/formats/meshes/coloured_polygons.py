@@ -63,10 +63,11 @@ def colours_of_vertices(found: ColouredPolygons) -> tuple[Float32s, list[str]]:
     corners, colours = found.corners[known], found.colours[known]
     weights = _areas(found)[polygons_of(found.offsets)][known]
     total = np.bincount(corners, weights, count)
-    first = np.zeros(count, np.int64)
+    first = np.zeros(count, np.int64)  # the first corner of each vertex that has a colour
     first[corners[::-1]] = np.arange(len(corners))[::-1]
     result = np.ones((count, colours.shape[1]), np.float32)
     result[total > 0] = colours[first[total > 0]]
+    # Only where other corners differ from it, since a mean would round equal colours.
     mixed = np.bincount(corners, (colours != colours[first[corners]]).any(axis=1), count) > 0
     for channel in range(colours.shape[1]):
         sums = np.bincount(corners, weights * colours[:, channel], count)
