@@ -80,7 +80,7 @@ class PointsDocument(Document, Generic[Key]):
 
     @property
     def _type(self) -> str:
-        return str(self._stored.dtype)
+        return str(self._stored_colours.dtype)
 
     @property
     def _channels(self) -> tuple[str, ...]:
@@ -108,7 +108,7 @@ class PointsDocument(Document, Generic[Key]):
         layout, dropped = self._layout, self._dropped()
         if len(self._measured) < layout.count:
             dropped.append("points without a finite position")
-        alpha = opacity(self._stored[self._measured, -1], self._scale) if layout.has_alpha else None
+        alpha = opacity(self._stored_colours[self._measured, -1], self._scale) if layout.has_alpha else None
         normals = None
         if layout.normals:
             stored = self.attribute("normal")
@@ -118,7 +118,7 @@ class PointsDocument(Document, Generic[Key]):
 
     def _stored_without_colours(self) -> Array:
         """Return the table of colours with zeros where colours can be replaced, for fingerprints."""
-        stored = self._stored.copy()
+        stored = self._stored_colours.copy()
         stored[self._measured, : self._layout.channels] = 0
         return stored
 
@@ -134,7 +134,7 @@ class PointsDocument(Document, Generic[Key]):
         if colours is None or not (changed := colours != self._colours).any():
             return None
         rows, channels = np.nonzero(changed)
-        stored = self._stored.copy()
+        stored = self._stored_colours.copy()
         stored[self._measured[rows], channels] = quantised(colours[changed], stored.dtype, self._scale)
         return stored
 
@@ -157,13 +157,13 @@ class PointsDocument(Document, Generic[Key]):
         return np.empty((0, 3), np.int32)
 
     @cached_property
-    def _stored(self) -> Array:
+    def _stored_colours(self) -> Array:
         """Colours as stored, with opacity, shape (points, C) or (points, C + 1)."""
         return self._rows(self._layout.colours)
 
     @cached_property
-    def _numbers(self) -> Float64s:
-        numbers = self._stored[self._measured, : self._layout.channels].astype(np.float64)
+    def _colour_numbers(self) -> Float64s:
+        numbers = self._stored_colours[self._measured, : self._layout.channels].astype(np.float64)
         require_single(numbers, self.name, "the colour of point", self._measured)
         return numbers
 
@@ -174,13 +174,13 @@ class PointsDocument(Document, Generic[Key]):
     @cached_property
     def _full_scale(self) -> tuple[float, str]:
         """The number that is full scale, and a notice if it is a guess, or ""."""
-        numbers, kind = self._numbers, self._stored.dtype
+        numbers, kind = self._colour_numbers, self._stored_colours.dtype
         if self._layout.is_intensity:
             return intensity_scale(numbers)
         if kind in (np.uint8, np.uint16):
-            return integer_scale(int(self._stored.max()), kind)  # of opacity, too
+            return integer_scale(int(self._stored_colours.max()), kind)  # of opacity, too
         return point_colour_scale(numbers, self.name)
 
     @cached_property
     def _colours(self) -> Float32s:
-        return (self._numbers / self._scale).astype(np.float32)
+        return (self._colour_numbers / self._scale).astype(np.float32)

@@ -127,9 +127,16 @@ def _find_layout(archive: NpzArchive) -> Layout[str]:
     along = {key: key for key in archive.names if key not in used and _goes_along(archive, key, points)}
     has_alpha = channels in (2, 4)
     return Layout(
-        positions, colours, normals, along, points, channels - has_alpha, has_alpha,
-        is_intensity=colours in _INTENSITY_KEYS, faces=faces,
-    )  # fmt: skip
+        positions=positions,
+        colours=colours,
+        normals=normals,
+        others=along,
+        shape=points,
+        channels=channels - has_alpha,
+        has_alpha=has_alpha,
+        is_intensity=colours in _INTENSITY_KEYS,
+        faces=faces,
+    )
 
 
 def _required(archive: NpzArchive, keys: tuple[str, ...], what: str) -> str:

@@ -35,8 +35,8 @@ class Pcd:
             lines = (b" ".join(line.split()) + b"\n" for line in data[self._body :].splitlines())
             data = data[: self._body] + b"".join(lines)
         cloud = pypcd4.PointCloud.from_fileobj(io.BytesIO(data))
-        self._points, self._about = np.atleast_1d(cloud.pc_data), cloud.metadata
-        require_room(self._about.points, 1, self._points.size)
+        self._points, self._metadata = np.atleast_1d(cloud.pc_data), cloud.metadata
+        require_room(self._metadata.points, 1, self._points.size)
         self._names = self._points.dtype.names or ()
         # A name in lower case goes before another spelling of it.
         known = {name.lower(): name for name in self._names} | {name: name for name in self._names}
@@ -65,7 +65,7 @@ class Pcd:
             colours = octets[:, 2::-1]
             # A field, so that it can be a guide, unless the file has one of that name.
             (rest if "opacity" in fields else fields)["opacity"] = octets[:, 3]
-        rows, width = self._about.height, self._about.width
+        rows, width = self._metadata.height, self._metadata.width
         return ScanContents(
             positions=np.column_stack([points[axis] for axis in self._axes]),
             normals=joined(points, self._normal),
@@ -78,10 +78,10 @@ class Pcd:
     def written(self, new: Array | None, form: str) -> bytes:
         points = self._points if new is None else self._recoloured(new)
         head, body = self._data[: self._body], self._data[self._body :]
-        if self._about.data == "binary":
+        if self._metadata.data == "binary":
             records: bytes = points.tobytes()
             return head + records + body[len(records) :]
-        if self._about.data == "ascii":
+        if self._metadata.data == "ascii":
             return head + b"".join(renumbered(body, self._new_numbers(points, body)))
         return head + _compressed(b"".join(points[name].tobytes() for name in self._names))
 
@@ -101,7 +101,7 @@ class Pcd:
         """Raise ValueError if text cannot hold new colours: opaque ones with red above 127 are not finite as floats."""
         old = np.ascontiguousarray(self._points[self._packed])
         is_new = packed.view(np.uint32) != old.view(np.uint32)
-        if self._about.data == "ascii" and not np.isfinite(packed[is_new]).all():
+        if self._metadata.data == "ascii" and not np.isfinite(packed[is_new]).all():
             raise ValueError(f"text cannot hold colours that are packed as the floats of {self._packed}")
 
     def _new_numbers(self, points: Array, body: bytes) -> list[NewNumbers]:

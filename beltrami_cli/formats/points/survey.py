@@ -44,9 +44,14 @@ class SurveyDocument(PointsDocument[str]):
             cause = f"its points have no colours and no intensity, but {', '.join(fields)[:200] or 'nothing else'}"
             raise NoColoursError(self.name, cause, "export them with colours")
         channels = self._tables["colours"].shape[1]
-        normals = "normals" if "normals" in self._tables else None
         layout = Layout(
-            "positions", "colours", normals, fields, self._shape, channels, is_intensity=channels == 1
+            positions="positions",
+            colours="colours",
+            normals="normals" if "normals" in self._tables else None,
+            others=fields,
+            shape=self._shape,
+            channels=channels,
+            is_intensity=channels == 1,
         )
         self._require_points(layout, self._tables["positions"].size + self._tables["colours"].size)
         return layout
@@ -71,7 +76,7 @@ class SurveyDocument(PointsDocument[str]):
         if self.has_vertex_colours():
             tables["colours"] = self._stored_without_colours()
             colours["point colours"] = self._colours
-        return Fingerprint({name: _stored(table) for name, table in tables.items()}, colours)
+        return Fingerprint({name: _as_npy(table) for name, table in tables.items()}, colours)
 
     def facts(self) -> dict[str, object]:
         return {
@@ -87,7 +92,7 @@ class SurveyDocument(PointsDocument[str]):
         return _LIBRARY.ask(question, self.name, len(self.data), self.access.memory)
 
 
-def _stored(table: Array) -> bytes:
+def _as_npy(table: Array) -> bytes:
     """Return a table with its type and shape, as NumPy stores it."""
     buffer = io.BytesIO()
     np.save(buffer, table)

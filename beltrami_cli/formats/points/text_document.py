@@ -91,13 +91,16 @@ class TextPointsDocument(PointsDocument[tuple[int, ...]]):
 
     @cached_property
     def _layout(self) -> Layout[tuple[int, ...]]:
-        known, count = self._columns, len(self._table.values)
-        others = {name: (column,) for name, column in known.others.items()}
-        channels = len(known.colours)
+        columns = self._columns
         return Layout(
-            known.position, known.colours, known.normal or None, others, (count,), channels,
-            is_intensity=channels == 1,
-        )  # fmt: skip
+            positions=columns.position,
+            colours=columns.colours,
+            normals=columns.normal or None,
+            others={name: (column,) for name, column in columns.others.items()},
+            shape=(len(self._table.values),),
+            channels=len(columns.colours),
+            is_intensity=len(columns.colours) == 1,
+        )
 
     def _rows(self, table: tuple[int, ...]) -> Array:
         return self._table.values[:, table]
