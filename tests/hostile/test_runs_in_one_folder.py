@@ -186,6 +186,33 @@ def test_a_name_that_is_taken_at_the_last_moment_is_left_alone(links, tmp_path, 
     assert (tmp_path / "out.obj").read_text() == "precious"
 
 
+@pytest.mark.parametrize("other", ["./a.png", ".//a.png"])
+def test_of_two_sidecar_files_at_one_place_neither_is_lost(other, tmp_path):
+    output = Output(str(tmp_path / "out.obj"), overwrite=False)
+    with pytest.raises(OutputError):
+        output.write(Written([b"new"], {"a.png": b"one", other: b"other"}))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_of_two_outputs_at_one_place_the_second_is_refused(tmp_path):
+    with FileSet() as files:
+        Output(str(tmp_path / "out.json"), overwrite=True, what="report", files=files)
+        with pytest.raises(OutputError):
+            Output(str(tmp_path / "out.json"), overwrite=True, what="report", files=files)
+
+
+def test_an_output_that_was_a_link_at_first_is_written_when_the_link_is_gone(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "there.obj").write_text("old")
+    (tmp_path / "out.obj").symlink_to("there.obj")
+    output = Output("out.obj", overwrite=True)
+    output.reserve_sidecars(["a.mtl"])
+    (tmp_path / "out.obj").unlink()
+    output.write(Written([b"new"], {"a.mtl": b"new"}))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.mtl", "there.obj"]
+    assert (tmp_path / "there.obj").read_text() == "new"
+
+
 FILES = Written([b"new"], {"a.mtl": b"new", "maps/a.png": b"new"})
 # Writes files aside, says so, and waits.
 STAGING = """

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.changes import Bytes
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PlannedFile:
-    """A file that a run is going to write."""
+    """A file that a run is going to write. Of two at one path the second would replace the first."""
 
     path: Path
     name: str  # for messages
@@ -59,7 +59,7 @@ class FileSet:
         """Add a file; OutputError if another one is planned there, or it would replace one that the run reads."""
         place = canonical_path(file.path)
         other = self._planned.setdefault(place, file)
-        if other != file:
+        if other is not file:
             wrong, kept = (other, file) if file.is_result and not other.is_result else (file, other)
             raise _collision(wrong, kept.what)
         self._check(place)

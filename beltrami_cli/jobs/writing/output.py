@@ -55,13 +55,15 @@ class Output:
             raise OutputError(what, "its name is empty", "name a file, or - for standard output")
         if is_url(target):
             raise OutputError(target, "it is a URL, which batch alone writes to", "name a file")
-        self.target, self.overwrite, self._what = target, bool(overwrite), what
+        self.target, self.overwrite = target, bool(overwrite)
         self._is_stdout = target == "-"
         self.is_device = not self._is_stdout and is_special(Path(target))
         # A link is followed, so that its target is replaced and the link stays; links to pipes lead nowhere.
         self.path = Path(target if self.is_device else os.path.realpath(target))
         # None for standard output and devices, which take one file only.
         self.folder = None if self._is_stdout or self.is_device else self.path.parent
+        self._main = PlannedFile(self.path, target, what, is_result=what == "OUTPUT")
+        self._sidecars: dict[str, PlannedFile] = {}  # by path relative to its folder
         self._is_alone = files is None
         self.files = FileSet(reads) if files is None else files
         if self.folder is not None:
@@ -73,14 +75,6 @@ class Output:
         elif self._is_stdout and sys.stdout.isatty() and not is_text:
             cause = "a model is not written to a terminal"
             raise OutputError("<stdout>", cause, "redirect it to a file or pipe")
-
-    @property
-    def _main(self) -> PlannedFile:
-        return PlannedFile(self.path, self.target, self._what, is_result=self._what == "OUTPUT")
-
-    def _sidecar(self, path: Path) -> PlannedFile:
-        what = f"a sidecar file of {self._what}"
-        return PlannedFile(path, self._named(path), what, self._main.is_result, is_sidecar=True)
 
     def reserve_sidecars(self, names: Iterable[str]) -> None:
         """Add sidecar files, by paths relative to its folder, to the planned files; OutputError if one is refused."""
@@ -94,7 +88,13 @@ class Output:
             if path.is_absolute() or ".." in path.parts:
                 raise OutputError(name, "would be written outside the output's folder")
             self._check_file(self.folder / name)
-            self.files.plan(self._sidecar(self.folder / name))
+            if name not in self._sidecars:
+                self._sidecars[name] = self._sidecar(self.folder / name)
+            self.files.plan(self._sidecars[name])
+
+    def _sidecar(self, path: Path) -> PlannedFile:
+        what = f"a sidecar file of {self._main.what}"
+        return PlannedFile(path, self._named(path), what, self._main.is_result, is_sidecar=True)
 
     def write(self, written: Written, sidecars: SidecarNames = NO_SIDECARS) -> None:
         """Write all files, under temporary names if it is in a set; on OutputError all files are as before.
@@ -117,7 +117,7 @@ class Output:
         try:
             for name, data in written.sidecars.items():
                 self.files.stage(
-                    self._sidecar(self.folder / name), [data],
+                    self._sidecars[name], [data],
                     overwrite=self.overwrite and sidecars.replaces(name),
                     may_replace=partial(self._may_replace, name, sidecars),
                 )  # fmt: skip
@@ -165,7 +165,7 @@ class Output:
         except OSError:
             head = b"?"
         if head and not is_own(head):
-            cause = f"exists, and is not a {self._what} of this program as far as can be seen"
+            cause = f"exists, and is not a {self._main.what} of this program as far as can be seen"
             remedy = "choose another name, or remove it"
             raise OutputError(self.target, cause, remedy)
 
