@@ -37,7 +37,9 @@ _FIGURES = {
         _mean_delta_e, "where the numbers are not grey, or red, green and blue, in sRGB or linear light"
     ),
     "max_seam_jump": _LimitedFigure(
-        _seam_jump_change, "where no chart has three texels in a row on either side of a seam", True
+        _seam_jump_change,
+        "where no chart has three texels in a row on either side of a seam",
+        only_with_seams=True,
     ),
 }
 _REMEDY = "leave that limit out, or choose what has it with --on, --slots, --texture, --channels or --space"
