@@ -16,7 +16,6 @@ References
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -38,11 +37,11 @@ PASSES = (6, 20)
 
 @dataclass(frozen=True)
 class Blend:
-    """The blended colours, the mean weight of patches, and the estimated reduction of the mean square error."""
+    """The result of the kernel, whose colours are blended with those of patches."""
 
     averaged: Averaged
-    share: float
-    gain: float
+    share: float  # mean weight of patches
+    gain: float  # estimated reduction of the mean square error
 
 
 def blend_with_patches_in_place(
@@ -78,26 +77,23 @@ def blend_with_patches_in_place(
     for level in _plain_levels(manifold):
         gain += blend_means_in_place(level, manifold, blend_noise, with_pilot, probed, results)
     count = max(1, geometry.kernels)
-    return Blend(
-        dataclasses.replace(averaged, stacks=[results.plain]), share / count,
-        noise.square_to_input(gain) / count / len(noise.sigma),
-    )  # fmt: skip
+    return Blend(averaged, share / count, noise.square_to_input(gain) / count / len(noise.sigma))
 
 
 def _run_kernels(
     manifold: Manifold, run_kernel_in_place: Callable[[Stack], Averaged]
 ) -> tuple[Probed, Averaged, Pair]:
-    """Run the kernel without and with a perturbation of the colours; return also what it averaged in the second run."""
+    """Run the kernel without and with a perturbation of the colours; return the first run, and both results."""
     noisy = manifold.colours
     # Chunked kernels do not overwrite the colours.
-    plain = run_kernel_in_place(large_arrays.copy_of(noisy) if manifold.chunking is None else noisy)
+    averaged = run_kernel_in_place(large_arrays.copy_of(noisy) if manifold.chunking is None else noisy)
     size = np.float32(PATCH_PERTURBATION * manifold.noise.rms_sigma)
     probed = Probed.of(manifold, manifold.perturbation(), size)
     perturbed = probed.perturbed_copy()
     probed.drawn.drop()
-    averaged = run_kernel_in_place(perturbed)
+    results = Pair(averaged.stacks[0], run_kernel_in_place(perturbed).stacks[0])
     manifold.drop_kernels()
-    return probed, averaged, Pair(plain.stacks[0], averaged.stacks[0])
+    return probed, averaged, results
 
 
 def _plain_levels(manifold: Manifold) -> Iterator[CoarseLevel]:

@@ -142,3 +142,15 @@ def test_what_has_no_noise_is_the_same_with_and_without_patches():
         kernel, both = (smooth_image(clean, patches=wanted) for wanted in ("off", "on"))
         assert both.patches is None
         assert np.array_equal(both.colours, kernel.colours)
+
+
+def test_with_patches_the_samples_of_kernels_are_still_those_of_the_given_colours():
+    """Patches also run the kernel on perturbed colours; the report counts no kernels of these."""
+    positions, faces = surfaces.plane(24, 24)
+    noisy = with_noise(photograph(24).reshape(-1, 3), SIGMA)
+    kernel, both = (
+        smooth(positions, faces, noisy, iterations=2, t=2.0, beta=8.0, max_samples=12, patches=patches)
+        for patches in ("off", "on")
+    )
+    assert both.patches is not None
+    assert (both.samples_per_kernel, both.truncated) == (kernel.samples_per_kernel, kernel.truncated)
