@@ -171,11 +171,6 @@ class Level:
     def counts(self) -> Float32s:
         return np.bincount(self.members, minlength=self.graph.size).astype(np.float32)
 
-    @property
-    def noise(self) -> float:
-        """Mean variance of independent noise in the means, relative to that of samples."""
-        return float(1 / self.counts.mean())
-
     def means(self, rows: Float32s) -> Float32s:
         sums = [np.bincount(self.members, column, self.graph.size) for column in rows.T]
         return np.stack([(column / self.counts).astype(np.float32) for column in sums], axis=1)

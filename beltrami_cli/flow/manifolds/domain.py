@@ -21,8 +21,10 @@ class Domain(ABC):
     width: float
     """Standard deviation of `spread`, in sample spacings."""
 
-    noise_ratio: float
-    """Variance of the noise, relative to that of the averaged samples."""
+    @property
+    @abstractmethod
+    def noise_ratio(self) -> float:
+        """Variance of the noise, relative to that of the averaged samples."""
 
     @property
     @abstractmethod

@@ -35,7 +35,7 @@ class Squares(CoarseLevel, Regions):
         cell_variances: Float32s | None = None, chunking: Chunking | None = None, width: float = 3.0,
     ) -> None:  # fmt: skip
         """Sort squares of `side` cells; `cell_variances`: of the noise, relative to the mean, None: the same."""
-        self.side, self.width, self.noise_ratio = side, width, 1 / side**2
+        self.side, self.width = side, width
         self._atlas, self._threads, self._chunking = atlas, threads, chunking
         kinds, counts = sort_squares(atlas.kind, side)
         self._kinds, self._counts = large_arrays.kept(kinds), large_arrays.kept(counts)
@@ -43,6 +43,10 @@ class Squares(CoarseLevel, Regions):
         self.relative_variances = np.broadcast_to(np.float32(1), kinds.shape)
         if cell_variances is not None:
             self.relative_variances = self.means(cell_variances)[0]
+
+    @property
+    def noise_ratio(self) -> float:
+        return 1 / self.side**2
 
     def means(self, stack: Float32s) -> Float32s:
         """Average planes, shape (N, R, C); 0 in empty squares."""

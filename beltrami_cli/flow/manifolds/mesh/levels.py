@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from itertools import islice
 from typing import ClassVar
 
@@ -29,26 +30,29 @@ def clusters_for(samples: Graph, most: int, relative: Float32s | None) -> list[C
     for level in islice(levels_of(samples), 1, most + 1):
         if level.graph.size < _MIN_CLUSTERS:
             break
-        levels.append(Clusters(samples, level, level.means(variances)[:, 0]))
+        levels.append(
+            Clusters(level.graph, level.members, level.centres, samples, level.means(variances)[:, 0])
+        )
     return levels
 
 
-class Clusters(CoarseLevel):
+@dataclass(frozen=True, eq=False)
+class Clusters(Level, CoarseLevel):
     """Means of clusters of samples, as a stack with one row per cluster."""
 
     axis: ClassVar[int] = 1
     width = 3.0
 
-    def __init__(self, samples: Graph, level: Level, relative_variances: Float32s) -> None:
-        self._samples, self._level, self._graph = samples, level, level.graph
-        self._counts, self.noise_ratio = level.counts, level.noise
-        self.relative_variances = relative_variances
+    samples: Graph
+    relative_variances: Float32s
 
-    def means(self, stack: Stack) -> Float32s:
-        return self._level.means(stack)
+    @property
+    def noise_ratio(self) -> float:
+        """Mean variance of independent noise in the means, relative to that of samples."""
+        return float(1 / self.counts.mean())
 
     def probe(self, means: Stack, noise: Float64s) -> Stack:
-        signs = random_signs(means, self._graph.priorities, 1)[0]
+        signs = random_signs(means, self.graph.priorities, 1)[0]
         return np.asarray(np.einsum("ij,sj->si", root_of(noise), signs), np.float32)
 
     def collaborate(
@@ -58,24 +62,24 @@ class Clusters(CoarseLevel):
         """Estimate means from patches of clusters; `shared` noise does not fall with their size."""
         variances = self.relative_variances
         if not shared:
-            variances = variances / (self._counts * np.float32(self.noise_ratio))
-        return collaborate_on_graph(self._graph, noisy, pilot, mixing, variances, progress, is_whole=shared)
+            variances = variances / (self.counts * np.float32(self.noise_ratio))
+        return collaborate_on_graph(self.graph, noisy, pilot, mixing, variances, progress, is_whole=shared)
 
     def add_enlarged_in_place(self, stack: Stack, changes: Stack) -> None:
         """Add changes of clusters to their samples, smoothed like bilinear interpolation of squares."""
         variance = 1 / (12 * self.noise_ratio)
         rows = large_arrays.empty(stack.shape, np.float32)
         for block in large_arrays.blocks(len(rows)):
-            rows[block] = changes[self._level.members[block]]
-        stack += self._samples.smoothed(rows, variance)
+            rows[block] = changes[self.members[block]]
+        stack += self.samples.smoothed(rows, variance)
 
     @property
     def shape(self) -> tuple[int, ...]:
-        return (self._graph.size,)
+        return (self.graph.size,)
 
     def total(self, planes: Float32s) -> Float64s:
-        return np.asarray(np.sum(planes * self._counts, axis=1, dtype=np.float64))
+        return np.asarray(np.sum(planes * self.counts, axis=1, dtype=np.float64))
 
     def spread(self, planes: Float32s) -> Float32s:
-        rows = np.ascontiguousarray((planes * (self._counts * np.float32(self.noise_ratio))).T)
-        return np.ascontiguousarray(self._graph.smoothed(rows, self.width**2).T)
+        rows = np.ascontiguousarray((planes * (self.counts * np.float32(self.noise_ratio))).T)
+        return np.ascontiguousarray(self.graph.smoothed(rows, self.width**2).T)
