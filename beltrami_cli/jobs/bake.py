@@ -16,7 +16,9 @@ from beltrami_cli.formats.image.reading import read_texture
 from beltrami_cli.formats.output_format import write_mesh
 from beltrami_cli.jobs.file_job import FileReport, open_file_job
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
-from beltrami_cli.jobs.new_texture import as_rgba, texture_description, texture_from_vertices
+from beltrami_cli.jobs.new_texture.from_textures import as_rgba
+from beltrami_cli.jobs.new_texture.from_vertices import texture_from_vertices
+from beltrami_cli.jobs.new_texture.texture import texture_description
 from beltrami_cli.jobs.settings import BakeSettings, BakeTo
 from beltrami_cli.layers.selection import Selection
 from beltrami_cli.layers.settings import DEFAULTS

@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache, partial
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -28,20 +28,13 @@ from beltrami_cli.surface.records import Texture
 Value = TypeVar("Value")
 
 
-class Finding(NamedTuple):
-    """How two values differ."""
-
-    detail: str
-    of_colour: bool = False  # whether only colours differ, which may
-
-
 @dataclass(frozen=True)
 class Difference:
     """A difference, and its place in the file."""
 
     what: str
     detail: str
-    of_colour: bool
+    of_colour: bool = False  # whether only colours differ, which may
 
 
 @dataclass(frozen=True)
@@ -81,12 +74,11 @@ def check_files(
     old, new = (document.fingerprint() for document in documents)
     differences = _differences(old.colours, new.colours, _difference_of_colours)
     visible = cache(partial(_visible_texels, original))
-    differences += _differences(
-        old.images, new.images, lambda one, other: _difference_of_images(one, other, visible, job.access)
-    )
+    differ = partial(_difference_of_images, visible=visible, access=job.access)
+    differences += _differences(old.images, new.images, differ)
     differences += _differences(old.parts, new.parts, _difference_of_bytes)
     faults = [fault for fault in new.faults if fault not in old.faults]
-    differences += [Difference("package", fault, of_colour=False) for fault in faults]
+    differences += [Difference("package", fault) for fault in faults]
     return CheckReport(documents[0].name, documents[1].name, formats[0], differences)
 
 
@@ -112,24 +104,24 @@ def _visible_texels(document: Document) -> dict[bytes, Bools]:
 def _differences(
     old: Mapping[str, Value],
     new: Mapping[str, Value],
-    differ: Callable[[Value, Value], Finding | None],
+    differ: Callable[[str, Value, Value], Difference | None],
 ) -> list[Difference]:
     """Compare the contents of two files by their names; `differ` compares two of one name."""
     differences = []
     for what in {**old, **new}:
         if what in old and what in new:
-            finding = differ(old[what], new[what])
+            difference = differ(what, old[what], new[what])
         else:
-            finding = Finding("is new" if what in new else "is missing")
-        if finding is not None:
-            differences.append(Difference(what, *finding))
+            difference = Difference(what, "is new" if what in new else "is missing")
+        if difference is not None:
+            differences.append(difference)
     return differences
 
 
-def _difference_of_colours(before: Array, after: Array) -> Finding | None:
+def _difference_of_colours(what: str, before: Array, after: Array) -> Difference | None:
     if before.shape != after.shape:
-        return Finding(f"{before.shape} became {after.shape}")
-    return None if np.array_equal(before, after) else Finding(_amount(before, after), of_colour=True)
+        return Difference(what, f"{before.shape} became {after.shape}")
+    return None if np.array_equal(before, after) else Difference(what, _amount(before, after), of_colour=True)
 
 
 def _amount(before: Array, after: Array) -> str:
@@ -146,30 +138,32 @@ def _amount(before: Array, after: Array) -> str:
 
 
 def _difference_of_images(
-    old: Texture, new: Texture, visible: Callable[[], Mapping[bytes, Bools]], access: Access
-) -> Finding | None:
+    what: str, old: Texture, new: Texture, visible: Callable[[], Mapping[bytes, Bools]], access: Access
+) -> Difference | None:
     if old.data == new.data:
         return None
     require_memory([(old.name, old.data), (new.name, new.data)], access)
     try:
         before, after = read_image(old.data, old.name), read_image(new.data, new.name)
     except InputError as error:
-        return Finding(f"{old.name} and {new.name} differ, and {error}")
+        return Difference(what, f"{old.name} and {new.name} differ, and {error}")
     names = old.name if old.name == new.name else f"{old.name}, now {new.name}"
     sizes = [f"{len(p.pixels[0])} x {len(p.pixels)} pixels" for p in (before, after)]
     if sizes[0] != sizes[1]:
-        return Finding(f"{names}: {sizes[0]} became {sizes[1]}")
+        return Difference(what, f"{names}: {sizes[0]} became {sizes[1]}")
     if cleared := _cleared(before, after):
-        return Finding(f"{names}: {cleared} pixels under an alpha of 0 lost their colours, which became 0")
+        return Difference(
+            what, f"{names}: {cleared} pixels under an alpha of 0 lost their colours, which became 0"
+        )
     kinds = [f"{p.stored} {'/'.join(p.channels)} in {p.format}" for p in (before, after)]
     if kinds[0] != kinds[1]:
-        return Finding(f"{names}: {kinds[0]} became {kinds[1]}", of_colour=True)
+        return Difference(what, f"{names}: {kinds[0]} became {kinds[1]}", of_colour=True)
     mask = visible().get(old.data)
     if mask is None:
         amount = _amount(*(p.pixels.reshape(-1, len(p.channels)) for p in (before, after)))
-        return Finding(f"{names}: pixels, {amount}", of_colour=True)
+        return Difference(what, f"{names}: pixels, {amount}", of_colour=True)
     on, off = (_amount(before.pixels[part], after.pixels[part]) for part in (mask, ~mask))
-    return Finding(f"{names}: on the surface {on}; in the gutter {off}", of_colour=True)
+    return Difference(what, f"{names}: on the surface {on}; in the gutter {off}", of_colour=True)
 
 
 def _cleared(before: DecodedImage, after: DecodedImage) -> int:
@@ -181,7 +175,7 @@ def _cleared(before: DecodedImage, after: DecodedImage) -> int:
     return 0 if new.any() else int(np.count_nonzero(old.any(axis=1)))
 
 
-def _difference_of_bytes(old: bytes, new: bytes) -> Finding | None:
+def _difference_of_bytes(what: str, old: bytes, new: bytes) -> Difference | None:
     """Say where two parts begin to differ: by the line in text, otherwise by the byte."""
     if old == new:
         return None
@@ -189,5 +183,5 @@ def _difference_of_bytes(old: bytes, new: bytes) -> Finding | None:
     differing = np.flatnonzero(np.frombuffer(old, np.uint8, length) != np.frombuffer(new, np.uint8, length))
     at = int(differing[0]) if differing.size else length
     if b"\n" in old and old[: at + 80].isascii():
-        return Finding(f"differs from its line {old.count(10, 0, at) + 1} on")
-    return Finding(f"differs from its byte {at} on, {len(old)} bytes against {len(new)}")
+        return Difference(what, f"differs from its line {old.count(10, 0, at) + 1} on")
+    return Difference(what, f"differs from its byte {at} on, {len(old)} bytes against {len(new)}")

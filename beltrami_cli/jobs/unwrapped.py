@@ -13,13 +13,9 @@ from beltrami_cli.formats.image.sizes import measure_image
 from beltrami_cli.formats.output_format import write_mesh
 from beltrami_cli.jobs.file_job import FileJob, open_file_job
 from beltrami_cli.jobs.job import Job
-from beltrami_cli.jobs.new_texture import (
-    NewTexture,
-    count_texels,
-    texture_description,
-    texture_from_textures,
-    texture_from_vertices,
-)
+from beltrami_cli.jobs.new_texture.from_textures import count_texels, texture_from_textures
+from beltrami_cli.jobs.new_texture.from_vertices import texture_from_vertices
+from beltrami_cli.jobs.new_texture.texture import NewTexture, texture_description
 from beltrami_cli.jobs.recolour import apply_filter
 from beltrami_cli.jobs.settings import BakeSettings
 from beltrami_cli.jobs.smooth_report import SmoothReport, smooth_report

@@ -52,9 +52,9 @@ def kernel_file(
     output = Output(target, overwrite=job.overwrite, is_text=suffix == ".csv", what="kernel", reads=[source])
     document, layer = _only_layer(source, settings, output.files.watching(job.access))
     samples = layer.places()
-    on_mesh = isinstance(samples, SampledVertices)
-    if suffix != ".csv" and (suffix == ".ply") != on_mesh:
-        drawn_as = ".ply" if on_mesh else ".png"
+    vertices = samples if isinstance(samples, SampledVertices) else None
+    if suffix != ".csv" and (suffix == ".ply") != (vertices is not None):
+        drawn_as = ".png" if vertices is None else ".ply"
         raise UsageError(f"a kernel on {layer.label} is drawn as {drawn_as}, or written as .csv", target)
     plan = layer.plan()
     parameters = plan.parameters
@@ -69,13 +69,13 @@ def kernel_file(
     nearness = 1 - kernel.distances / max(np.float32(parameters.radius), np.finfo(np.float32).tiny)
     if suffix == ".csv":
         written = _csv(table)
-    elif isinstance(samples, SampledVertices):
-        written = draw_on_mesh(samples, manifold.new_colours().table(), kernel, nearness, layer)
+    elif vertices is not None:
+        written = draw_on_mesh(vertices, manifold.new_colours().table(), kernel, nearness, layer)
     else:
         written = draw_in_image(manifold, place.sample, kernel, nearness, layer, suffix)
     output.write(written)
     beta = plan.beta / layer.unit * growth_at(iteration - 1, parameters.beta_growth)
-    cut_short = on_mesh and len(kernel.samples) == parameters.max_samples
+    cut_short = vertices is not None and len(kernel.samples) == parameters.max_samples
     return ShownKernel(place.name, parameters.iterations, beta, parameters.radius, cut_short, table)
 
 
