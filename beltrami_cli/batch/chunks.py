@@ -16,7 +16,7 @@ from beltrami_cli.batch.pool import Lost, Pool, Task
 from beltrami_cli.batch.run import Workers
 from beltrami_cli.batch.work import do_item
 from beltrami_cli.errors import ProcessingError
-from beltrami_cli.flow.chunks import Answers, Chunk, Chunking, KernelCounts, Operation
+from beltrami_cli.flow.chunks import Answers, Chunk, Chunking, KernelCounts, Operation, Part
 from beltrami_cli.jobs.progress import Progress, at_intervals
 
 # Attempts at a chunk before its file fails: a machine that restarts loses a few workers, and a chunk that is too large
@@ -70,10 +70,12 @@ class ChunkRunner:
 
     def __init__(self, pool: Pool, tries: int = _MAX_ATTEMPTS) -> None:
         self._pool, self._tries = pool, tries
-        self._chunks: Sequence[Chunk] = ()  # workers keep their geometry, so that only colours are sent
+        self._chunks: Sequence[Chunk[Any]] = ()  # workers keep their geometry, so that only colours are sent
         self.most_chunks = 0  # of a surface
 
-    def __call__(self, chunks: Sequence[Chunk], operation: Operation, stacks: Sequence[Float32s]) -> Answers:
+    def __call__(
+        self, chunks: Sequence[Chunk[Part]], operation: Operation[Part], stacks: Sequence[Float32s]
+    ) -> Answers:
         if chunks is not self._chunks:
             self._pool.forget()
             self._chunks, self.most_chunks = chunks, max(self.most_chunks, len(chunks))
@@ -106,7 +108,7 @@ class ChunkRunner:
 
 
 def do_chunk(
-    part: Any, operation: Operation, stacks: list[Float32s], progress: object
+    part: Part, operation: Operation[Part], stacks: list[Float32s], progress: object
 ) -> tuple[Sequence[Float32s], KernelCounts] | Exception:
     """Compute a chunk in a worker."""
     del progress

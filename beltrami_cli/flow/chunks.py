@@ -15,11 +15,13 @@ import math
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
 from beltrami_cli.arrays import Float32s
+
+Part = TypeVar("Part")  # of a surface: what an operation reads besides stacks
 
 
 class KernelCounts(NamedTuple):
@@ -29,7 +31,7 @@ class KernelCounts(NamedTuple):
     truncated: int = 0
 
 
-Operation = Callable[[Any, list[Float32s], int], tuple[Sequence[Float32s], KernelCounts]]
+Operation = Callable[[Part, list[Float32s], int], tuple[Sequence[Float32s], KernelCounts]]
 """Takes a part, a list of its stacks, which it may change, and the number of threads.
 
 Returns stacks of the samples of the chunk.
@@ -37,11 +39,11 @@ Returns stacks of the samples of the chunk.
 
 
 @dataclass(frozen=True, eq=False)
-class Chunk:
+class Chunk(Generic[Part]):
     """A part of a surface with the surrounding samples that an operation reads."""
 
     # Makes the part. It holds geometry but no colours, so that all operations of a kind can share it.
-    cut: Callable[[], Any]
+    cut: Callable[[], Part]
     around: Any  # index of all samples of the part in a stack of the whole surface
     place: Any  # index of the chunk's own samples in such a stack
 
@@ -49,12 +51,16 @@ class Chunk:
 Answers = Generator[tuple[int, Sequence[Float32s], KernelCounts], None, None]
 """The number of each chunk and its results, in any order. Results are valid until the next ones are requested."""
 
-Runner = Callable[[Sequence[Chunk], Operation, Sequence[Float32s]], Answers]
-"""Takes chunks, which may be used again, an operation, and stacks of the whole, which must not be changed."""
+
+class Runner(Protocol):
+    def __call__(
+        self, chunks: Sequence[Chunk[Part]], operation: Operation[Part], stacks: Sequence[Float32s], /
+    ) -> Answers:
+        """Take chunks, which may be used again, an operation, and stacks of the whole, which must not be changed."""
 
 
 def in_turn(
-    chunks: Sequence[Chunk], operation: Operation, stacks: Sequence[Float32s], threads: int = 1
+    chunks: Sequence[Chunk[Part]], operation: Operation[Part], stacks: Sequence[Float32s], threads: int = 1
 ) -> Answers:
     """Process chunks one after another in this process; a `Runner`."""
     for number, chunk in enumerate(chunks):
@@ -70,7 +76,7 @@ class Chunking:
     runner: Runner
 
     def apply(
-        self, chunks: Sequence[Chunk], operation: Operation, stacks: Sequence[Float32s],
+        self, chunks: Sequence[Chunk[Part]], operation: Operation[Part], stacks: Sequence[Float32s],
         results: Sequence[Float32s], progress: Callable[[int], None] | None, *,
         size: int, threads: int, adds: bool = False,
     ) -> KernelCounts:  # fmt: skip

@@ -11,7 +11,7 @@ import numpy as np
 
 from beltrami_cli._native import PATCH_BLOCK_SIZE
 from beltrami_cli.arrays import Bools, Float64s, Int64s
-from beltrami_cli.flow.chunks import Chunk
+from beltrami_cli.flow.chunks import Chunk, Part
 
 # Minimum number of cells of a chunk: around a square of this size, patches repeat less than half of the work.
 MIN_CELLS = 1 << 18
@@ -30,8 +30,8 @@ def grown(cells: Rectangle, before: int, after: int, shape: tuple[int, ...]) -> 
 
 
 def chunks_of_canvas(
-    cut: Callable[[Rectangle, Rectangle], Any], owned: Bools, count: int, unit: int, before: int, after: int
-) -> list[Chunk]:
+    cut: Callable[[Rectangle, Rectangle], Part], owned: Bools, count: int, unit: int, before: int, after: int
+) -> list[Chunk[Part]]:
     """Cut a canvas into nearly square rectangles with about equal numbers of owned cells.
 
     They begin at multiples of `unit`, the period of the order of summation. A part has `before` and `after` more cells

@@ -70,7 +70,7 @@ class Graph:
         return self.resources.chunking_of_mesh(self.size, self.threads)
 
     @cached_property
-    def chunks(self) -> list[Chunk]:
+    def chunks(self) -> list[Chunk[Graph]]:
         """The chunks in which patches are estimated."""
         chunking, neighbours = self.chunking, Neighbours(self.size, self.edges, _ones)
         assert chunking is not None

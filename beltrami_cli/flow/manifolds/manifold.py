@@ -14,7 +14,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, TypeAlias
 
 import numpy as np
 
@@ -39,6 +39,9 @@ from beltrami_cli.surface.large_arrays import Droppable
 # vertex colours and textures at sigma 20 of 255, with t = 2.4, a growth of 2, two regularised and three plain
 # iterations, has its flat optimum here.
 _CONTRAST = 0.8
+
+PartAndCore: TypeAlias = "tuple[Manifold, Any]"
+"""A part of a manifold, and the index of the chunk's own samples within it."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -139,12 +142,12 @@ class Manifold(ABC):
         return self.resources.chunking
 
     @cached_property
-    def _kernel_chunks(self) -> list[Chunk]:
+    def _kernel_chunks(self) -> list[Chunk[PartAndCore]]:
         assert self.chunking is not None
         return self._cut_for_kernels(self.chunking.count)
 
     @abstractmethod
-    def _cut_for_kernels(self, count: int) -> list[Chunk]:
+    def _cut_for_kernels(self, count: int) -> list[Chunk[PartAndCore]]:
         """Cut into up to `count` chunks for one iteration."""
 
     def drop_kernels(self) -> None:
@@ -239,7 +242,7 @@ class SampleTrial:
 
 
 def _average_chunk_in_place(
-    part: tuple[Manifold, Any], stacks: list[Stack], threads: int, step: Step
+    part: PartAndCore, stacks: list[Stack], threads: int, step: Step
 ) -> tuple[list[Stack], KernelCounts]:
     manifold, core = part
     return manifold.with_parameters(threads=threads).average_core_in_place(stacks, step, core)

@@ -38,7 +38,7 @@ from beltrami_cli.flow.manifolds.iteration import (
     at_step,
     kernel_values,
 )
-from beltrami_cli.flow.manifolds.manifold import Manifold, SampleTrial
+from beltrami_cli.flow.manifolds.manifold import Manifold, PartAndCore, SampleTrial
 from beltrami_cli.flow.manifolds.metric_channels import gaussian_for, joined_channels
 from beltrami_cli.flow.manifolds.new_colours import NewColours
 from beltrami_cli.flow.manifolds.search_range import BUDGET_ON_GRIDS, ON_GRIDS, RULE_ON_GRIDS, wanted_probes
@@ -169,7 +169,7 @@ class GridManifold(Manifold):
         )
         return planes[:, core], samples
 
-    def _cut_for_kernels(self, count: int) -> list[Chunk]:
+    def _cut_for_kernels(self, count: int) -> list[Chunk[PartAndCore]]:
         owned, margin = self.geometry.atlas.kind == OWNED, kernel_margin(self.parameters)
         return chunks_of_canvas(self._cut_chunk, owned, count, SWEEP_TILE_ROWS, margin, margin)
 

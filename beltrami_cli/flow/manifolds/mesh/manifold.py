@@ -23,7 +23,7 @@ from beltrami_cli.flow.manifolds.iteration import (
     at_step,
     kernel_values,
 )
-from beltrami_cli.flow.manifolds.manifold import Manifold, SampleTrial
+from beltrami_cli.flow.manifolds.manifold import Manifold, PartAndCore, SampleTrial
 from beltrami_cli.flow.manifolds.mesh.fingerprints import fingerprints, quantised
 from beltrami_cli.flow.manifolds.mesh.geometry import KernelSolver, MeshGeometry, MeshMetric, rank_in
 from beltrami_cli.flow.manifolds.mesh.kernel_work import without_hubs
@@ -184,7 +184,7 @@ class MeshManifold(Manifold):
             return None
         return self.resources.chunking_of_mesh(self.geometry.size, self.geometry.threads)
 
-    def _cut_for_kernels(self, count: int) -> list[Chunk]:
+    def _cut_for_kernels(self, count: int) -> list[Chunk[PartAndCore]]:
         mesh, parameters, whole = self.geometry, self.parameters, self
         if parameters.metric_steps and parameters.metric_scale > 0:
             gain = mesh.gaussian(parameters.metric_scale).gain
@@ -194,7 +194,7 @@ class MeshManifold(Manifold):
         )
         # Edges including bridges.
         neighbours = Neighbours(mesh.size, distinct_edges(mesh.faces), mesh.scaled_lengths)
-        chunks = []
+        chunks: list[Chunk[PartAndCore]] = []
         for first, last in runs(mesh.size, count):
             near = np.isfinite(neighbours.distances(first, last, reach))
             # Sort samples by index, so that the compiled core groups them as in the whole mesh.
