@@ -11,6 +11,7 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.flow.parameters import parameters_from
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.registry import open_document
+from beltrami_cli.formats.sidecars.model_folder import ModelFolder, UnfitReferenceError
 from beltrami_cli.formats.sidecars.tile_names import found_tiles, tile_name
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.inspect import inspect_file
@@ -54,6 +55,24 @@ def test_numbers_are_those_of_mari_mudbox_and_zbrush():
 def test_other_names_are_of_no_tile(label):
     assert found_tiles("a.<UDIM>.png", [f"a.{label}.png", "a.png", "a..png"]) == {}
     assert found_tiles("a.<UVTILE>.png", ["a.u0_v1.png", "a.u11_v1.png", "a.1001.png"]) == {}
+
+
+def test_the_tiles_of_a_set_do_not_depend_on_earlier_questions(tmp_path):
+    names = ["skin.1001.png", "skin.1012.png"]
+    for name in (*names, "skin.png"):
+        (tmp_path / name).touch()
+    folder = ModelFolder(tmp_path)
+    assert folder.tiles_of("skin.<UDIM>.png") == dict(zip([(0, 0), (1, 1)], names, strict=True))
+    assert folder.files(folder.locate_any("skin.<UDIM>.png")) == names
+    assert folder.tiles_of("skin.png") == folder.tiles_of(None) == folder.tiles_of("other.<UDIM>.png") == {}
+    assert folder.files("skin.png") == ["skin.png"]
+
+
+def test_a_token_in_the_name_of_a_folder_makes_no_tile_set(tmp_path):
+    (tmp_path / "<UDIM>").mkdir()
+    (tmp_path / "<UDIM>" / "skin.png").touch()
+    with pytest.raises(UnfitReferenceError, match="is missing"):
+        ModelFolder(tmp_path).locate_any("<UDIM>/skin.png")
 
 
 @pytest.mark.parametrize("pattern", PATTERNS[::2])

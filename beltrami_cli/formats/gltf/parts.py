@@ -112,7 +112,6 @@ def make_scene(name: str, groups: Collection[Sequence[Part]], materials: ShownMa
         materials=[each.record for each in materials.by_key.values()],
         maps=[each.maps for each in materials.by_key.values()],
         uv=partial(_coordinates, parts, {}),
-        tiles={},
         read=lambda key: images.data(keys[key]),
         names={key: images.name(index) for key, index in keys.items()},
         is_v_up=False,

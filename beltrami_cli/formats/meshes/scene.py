@@ -9,9 +9,9 @@ import numpy as np
 
 from beltrami_cli.arrays import Bools, Float64s, Int32s, Int64s
 from beltrami_cli.errors import Obstacle
-from beltrami_cli.formats.sidecars.new_files import TileSets
 from beltrami_cli.surface.polygons import polygons_with
 from beltrami_cli.surface.records import Material, Slot, Wrap
+from beltrami_cli.surface.tiling import Tile
 
 _UNREAD = Obstacle("cannot be read")
 
@@ -25,6 +25,7 @@ class ShownMap:
     obstacle: Obstacle = _UNREAD  # why it is not read; follows the name in a message
     wrap: tuple[Wrap, Wrap] = ("repeat", "repeat")
     alpha_hides: bool = True  # as in `Texture`
+    tiles: Mapping[Tile, str] = field(default_factory=dict)  # files of a tile set
 
 
 Maps = Mapping[Slot, ShownMap]
@@ -43,7 +44,6 @@ class Scene:
     maps: Sequence[Maps]  # of each material
     # Texture coordinates of all corners, (K, 2), for a slot (None: for polygons without an image); NaN: none.
     uv: Callable[[Slot | None], Float64s]
-    tiles: TileSets
     read: Callable[[str], bytes]
     measured: Bools | None = None  # (V,): which vertices have a finite position; None: all
     # Whether materials have factors for their maps and an alpha mode; otherwise these follow from the maps.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import PurePath
 from typing import Any
 
@@ -22,6 +22,7 @@ from beltrami_cli.surface import tiling
 from beltrami_cli.surface.polygons import polygons_of
 from beltrami_cli.surface.records import AlphaMode, ImageFile, Material, MaterialMap, MeshContents, MeshImage
 from beltrami_cli.surface.slots import SLOTS, Slot
+from beltrami_cli.surface.tiling import Tile
 
 _MAX_COORDINATE = 1e30  # texture coordinate that single precision holds with room for computing
 
@@ -46,7 +47,7 @@ def textured_mesh(
             elif (number, slot) in elsewhere:
                 lost.append(f"{slot} maps that are placed otherwise than the base colour")
             else:
-                maps[slot] = MaterialMap(_image(scene, found.path, images), found.wrap)
+                maps[slot] = MaterialMap(_tiled_image(scene, found.path, found.tiles, images), found.wrap)
         materials[number], clipped = _within_range(_with_maps(scene, materials[number], maps))
         lost += clipped
     corner_normals = None if normals is None or np.isnan(normals).all() else normals.astype(np.float32)
@@ -96,11 +97,17 @@ def _with_material_per_tile(mesh: MeshContents) -> MeshContents:
     return dataclasses.replace(mesh, uv=uv + moved[polygon_of], materials=shown, material_of=material_of)
 
 
-def _image(scene: Scene, path: str, known: dict[str, MeshImage]) -> MeshImage:
+def _tiled_image(
+    scene: Scene, path: str, of_tiles: Mapping[Tile, str], known: dict[str, MeshImage]
+) -> MeshImage:
     """Return the image of a file or tile set."""
-    if path in scene.tiles:
-        tiles = tuple((tile, _image(scene, file, known)) for tile, file in scene.tiles[path].items())
-        return dataclasses.replace(tiles[0][1], tiles=tiles)
+    if not of_tiles:
+        return _image(scene, path, known)
+    tiles = tuple((tile, _image(scene, file, known)) for tile, file in of_tiles.items())
+    return dataclasses.replace(tiles[0][1], tiles=tiles)
+
+
+def _image(scene: Scene, path: str, known: dict[str, MeshImage]) -> MeshImage:
     if path not in known:
         data, name = scene.read(path), scene.name_of(path)
         known[path] = MeshImage(ImageFile(data, suffix_for(data, name) or ".png"), name, path)

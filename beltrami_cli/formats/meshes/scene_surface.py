@@ -77,8 +77,7 @@ class _SlotImages:
                 self._add(number, shown)
 
     def _add(self, number: int, shown: ShownMap) -> None:
-        material, why = self._scene.materials[number].name, shown.obstacle
-        tiles = self._scene.tiles.get(shown.path or "", {})
+        material, why, tiles = self._scene.materials[number].name, shown.obstacle, shown.tiles
         numbers: dict[str, int] = {}
         for file in [*tiles.values()] or ([] if shown.path is None else [shown.path]):
             try:

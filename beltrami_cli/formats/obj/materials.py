@@ -188,10 +188,14 @@ class Materials:
     def obstacle(self, name: str) -> Obstacle:
         return self._unread.get(name, Obstacle("cannot be read"))
 
-    def named(self, file: str) -> list[str]:
-        """Return the paths that maps use for a file: its path, and tile sets that it is part of."""
-        sets = [path for path, tiles in self.folder.tiles.items() if file in tiles.values()]
-        return [*([file] if self.uses(file) or not sets else []), *sets]
+    def paths_by_file(self) -> dict[str, list[str]]:
+        """Return the paths that maps use for each file: its own, and then tile sets that it is part of."""
+        used = {path: None for library in self.libraries for _, path in library.maps if path is not None}
+        found: dict[str, list[str]] = {}
+        for path in sorted(used, key=lambda path: len(self.folder.tiles_of(path)) > 0):
+            for file in self.folder.files(path):
+                found.setdefault(file, []).append(path)
+        return found
 
     def slots(self) -> tuple[Slot, ...]:
         shown = {slot for _, slot in self._shown}

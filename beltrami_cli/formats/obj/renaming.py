@@ -54,7 +54,8 @@ def renaming(materials: Materials, images: NewImages, source: str, naming: Namin
 def _take_images(materials: Materials, images: NewImages, names: NewFiles) -> dict[str, Spans]:
     """Put new images among the sidecars, other tiles of their sets among the copies; return new names by library."""
     edits: dict[str, Spans] = {}
-    for each in replacements(images, lambda slot, file: materials.named(file)):
+    paths = materials.paths_by_file()
+    for each in replacements(images, lambda slot, file: paths[file]):
         path = each.path
         # Equal images of two slots are one file; maps of the base colour may be of other slots, too.
         maps = [shown for slot in each.slots for shown in materials.affected(slot, path)]
@@ -63,8 +64,9 @@ def _take_images(materials: Materials, images: NewImages, names: NewFiles) -> di
         # Its name is free only if no map that keeps the old image has it.
         is_replaced = len(affected) == materials.uses(path)
         suffix = common_suffix(image.suffix for image in each.files.values())
-        new = names.image(path, suffix, is_replaced=is_replaced, tiles=materials.folder.tiles.get(path, ()))
-        new_of = new_paths(path, new, materials.folder.tiles)
+        tiles = materials.folder.tiles_of(path)
+        new = names.image(path, suffix, is_replaced=is_replaced, tiles=tiles)
+        new_of = new_paths(path, new, tiles)
         names.sidecars |= {new_of.pop(file): image.content for file, image in each.files.items()}
         names.copies |= {file: old for old, file in new_of.items() if file != old}
         for library, shown in affected.values():
@@ -104,8 +106,8 @@ def _rename_others(materials: Materials, names: NewFiles, edits: dict[str, Spans
 
 def _copied(materials: Materials, names: NewFiles, path: str) -> str:
     """Put an image or tile set that stays as it is among the copies; return its new path."""
-    tiles = materials.folder.tiles
-    new = names.image(path, tiles=tiles.get(path, ()))
+    tiles = materials.folder.tiles_of(path)
+    new = names.image(path, tiles=tiles)
     for old, copy in new_paths(path, new, tiles).items():
         if is_outside(old):
             names.sidecars[copy] = materials.folder.content(old)

@@ -92,7 +92,6 @@ def read_scene(scan: Scan, coordinates: Coordinates, materials: Materials, name:
         materials=[materials.material(name) for name in names],
         maps=[_shown(maps, materials) for maps in maps_of],
         uv=uv,
-        tiles=materials.folder.tiles,
         read=materials.folder.content,
         measured=scan.vertices.finite,
     )
@@ -102,7 +101,13 @@ def _shown(maps: _MaterialMaps, materials: Materials) -> Maps:
     wraps: dict[bool, tuple[Wrap, Wrap]]
     wraps = {True: ("clamp", "clamp"), False: ("repeat", "repeat")}
     return {
-        slot: ShownMap(each.name, path, materials.obstacle(each.name), wraps[each.clamped])
+        slot: ShownMap(
+            each.name,
+            path,
+            materials.obstacle(each.name),
+            wraps[each.clamped],
+            tiles=materials.folder.tiles_of(path),
+        )
         for slot, (each, path) in maps.items()
     }
 

@@ -119,7 +119,6 @@ def read_scene(
         materials=[records.Material(name) for name in names],
         maps=[*images, {}],
         uv=lambda _: uv,
-        tiles={},
         read=folder.content,
         notices=(*notices,),
     )

@@ -60,7 +60,7 @@ class ModelFolder:
         self._folder = None if folder is None else folder.resolve()
         self._located: dict[tuple[str, PurePosixPath], str | Obstacle] = {}
         self._listings: dict[Path, dict[str, str]] = {}
-        self.tiles: dict[str, dict[Tile, str]] = {}  # files of the located tile sets, by the path of the set
+        self._tiles: dict[str, dict[Tile, str]] = {}  # cache of `tiles_of`
         self.access = access
 
     def find(self, name: str) -> str | None:
@@ -131,32 +131,41 @@ class ModelFolder:
         if not has_token(pattern):
             return self.locate(pattern, within)
         path = checked_path(pattern, within, outside=self.access.outside, tiles=True)
+        if not self.tiles_of(path):
+            raise _missing(" (no tile of it is there)")
+        return path
+
+    def tiles_of(self, path: str | None) -> Mapping[Tile, str]:
+        """Return the files of a tile set; none for the path of a file, and for None."""
+        if path is None:
+            return {}
+        if path not in self._tiles:
+            whole = PurePosixPath(path)
+            self._tiles[path] = self._find_tiles(whole) if has_token(whole.name) else {}
+        return self._tiles[path]
+
+    def _find_tiles(self, path: PurePosixPath) -> dict[Tile, str]:
         if self._folder is None:
             raise UnfitReferenceError(*_OUTSIDE_FOLDER)
-        folder = PurePosixPath(path).parent
+        folder = self._folder / path.parent
         if self.access.hooks.fetch is not None:
             # Storage that is not listed is asked for the hundred tiles that a set has at most in practice.
             for u, v in product(range(COLUMNS), range(10)):
-                self.access.hooks.fetch(self._folder / folder / tile_name(PurePosixPath(path).name, (u, v)))
-        names = {*self._names_in(self._folder / folder).values()}
-        names |= {
-            there.name for there in self.access.hooks.replacements if there.parent == self._folder / folder
-        }
-        tiles = found_tiles(PurePosixPath(path).name, names)
-        if not tiles:
-            raise _missing(" (no tile of it is there)")
-        self.tiles[path] = {tile: self.locate(str(folder / name)) for tile, name in tiles.items()}
-        return path
+                self.access.hooks.fetch(folder / tile_name(path.name, (u, v)))
+        names = {*self._names_in(folder).values()}
+        names |= {there.name for there in self.access.hooks.replacements if there.parent == folder}
+        tiles = found_tiles(path.name, names)
+        return {tile: self.locate(str(path.with_name(name))) for tile, name in tiles.items()}
 
     def files(self, path: str) -> list[str]:
         """Return the files of a tile set, or the path itself."""
-        return list(self.tiles[path].values()) if path in self.tiles else [path]
+        return [*self.tiles_of(path).values()] or [path]
 
     def files_by_label(self, paths: Mapping[str, str | None]) -> dict[str, str]:
         """Return the files of images and tile sets, by labels; None: not read."""
         found: dict[str, str] = {}
         for label, path in paths.items():
-            tiles = self.tiles.get(path or "", {})
+            tiles = self.tiles_of(path)
             found |= {f"{label}, tile {tile}": file for tile, file in tiles.items()}
             found |= {label: path} if path is not None and not tiles else {}
         return found

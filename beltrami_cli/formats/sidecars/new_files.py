@@ -19,7 +19,6 @@ from beltrami_cli.surface.tiling import Tile
 _MODEL_FOLDER = PurePosixPath()
 _NOT_COPIED = "lies outside the model's folder; the output names it as the input does, and it is not copied."
 
-TileSets = Mapping[str, Mapping[Tile, str]]  # files of each tile set, by the path of the set
 _LONGEST = 255  # bytes of a file name on common file systems
 
 
@@ -111,10 +110,11 @@ def replacements(images: NewImages, paths_of: Callable[[Slot, str], Iterable[str
     return [Replacement(path, dict(new), shown) for (path, new), shown in slots.items()]
 
 
-def new_paths(path: str, new: str, sets: TileSets) -> dict[str, str]:
+def new_paths(path: str, new: str, tiles: Mapping[Tile, str]) -> dict[str, str]:
     """Return the new path of each file of an image or tile set."""
-    tiles = sets[path].items() if path in sets else ()
-    return {file: file if path == new else tile_name(new, tile) for tile, file in tiles} or {path: new}
+    if not tiles:
+        return {path: new}
+    return {file: file if path == new else tile_name(new, tile) for tile, file in tiles.items()}
 
 
 def common_suffix(suffixes: Iterable[str]) -> str | None:

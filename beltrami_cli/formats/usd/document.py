@@ -124,8 +124,9 @@ class UsdDocument(Document):
         maps: list[dict[Slot, ShownMap]] = [{} for _ in (*materials, None)]
         for use in contents.uses:
             obstacle = images.obstacles.get(use.file, Obstacle(""))
-            shown = ShownMap(use.file, images.paths.get(use.file), obstacle, use.wrap)
-            maps[use.material][use.slot] = shown
+            path = images.paths.get(use.file)
+            tiles = self._layers.folder.tiles_of(path)
+            maps[use.material][use.slot] = ShownMap(use.file, path, obstacle, use.wrap, tiles=tiles)
         bare = np.full((len(corners), 2), np.nan)
         return Scene(
             name=self.name,
@@ -136,7 +137,6 @@ class UsdDocument(Document):
             materials=[*(inputs.material() for inputs in materials), Material()],
             maps=maps,
             uv=lambda slot: arrays.get("uv" if slot is None else f"uv {slot}", bare),
-            tiles=self._layers.folder.tiles,
             read=self._layers.folder.content,
             has_factors=True,
         )

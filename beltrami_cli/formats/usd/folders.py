@@ -7,6 +7,7 @@ from pathlib import PurePosixPath
 from beltrami_cli.formats.sidecars.model_folder import ModelFolder, UnfitReferenceError, is_outside
 from beltrami_cli.formats.sidecars.tile_names import found_tiles, has_token
 from beltrami_cli.formats.usd.package import Package
+from beltrami_cli.surface.tiling import Tile
 
 _TOP = PurePosixPath()
 
@@ -39,14 +40,15 @@ class PackageFolder(ModelFolder):
     def locate_any(self, pattern: str, within: PurePosixPath = _TOP) -> str:
         if not has_token(pattern):
             return self.locate(pattern, within)
-        path = within / pattern
+        path = str(within / pattern)
+        if not self.tiles_of(path):
+            raise UnfitReferenceError("is not in the package")
+        return path
+
+    def _find_tiles(self, path: PurePosixPath) -> dict[Tile, str]:
         members = map(PurePosixPath, self._package.members)
         names = [member.name for member in members if member.parent == path.parent]
-        tiles = found_tiles(path.name, names)
-        if not tiles:
-            raise UnfitReferenceError("is not in the package")
-        self.tiles[str(path)] = {tile: str(path.with_name(file)) for tile, file in tiles.items()}
-        return str(path)
+        return {tile: str(path.with_name(name)) for tile, name in found_tiles(path.name, names).items()}
 
     def read(self, path: str, most: int = -1) -> bytes:
         return self._package.read(path)

@@ -101,7 +101,7 @@ class Images:
         for attribute in sorted(self._attributes(path) - {use.attribute for use in self._contents.uses}):
             names.note_stale_use(attribute, path)
         new_path = self._new_path(path, new, names, is_replaced=is_replaced)
-        new_of = new_paths(path, new_path, self._layers.folder.tiles)
+        new_of = new_paths(path, new_path, self._layers.folder.tiles_of(path))
         names.sidecars |= {new_of.pop(file): image.content for file, image in new.items()}
         names.copies |= {file: old for old, file in new_of.items() if file != old}
         return new_path
@@ -119,7 +119,7 @@ class Images:
         if self._layers.package is not None and unfit and not stays:
             raise UsageError(f"packages hold no {min(unfit)} images; choose {', '.join(IMAGES)}", self._name)
         suffix = common_suffix(suffixes)
-        tiles = self._layers.folder.tiles.get(path, ())
+        tiles = self._layers.folder.tiles_of(path)
         return names.image(path, None if stays else suffix, is_replaced=is_replaced, tiles=tiles)
 
     def references(self) -> list[str]:
