@@ -19,7 +19,15 @@ def _in(folder: str, *names: str) -> tuple[str, ...]:
 
 
 NETWORK = (
-    *_in("noise_model", "backpropagation.py", "batches.py", "crops.py", "grids.py", "images.py", "losses.py"),
+    *_in(
+        "noise_model",
+        "backpropagation.py",
+        "batches.py",
+        "crops.py",
+        "grids.py",
+        "clean_images.py",
+        "losses.py",
+    ),
     *_in("noise_model", "noises.py", "observations.py", "recipes.py", "surfaces.py", "train.py"),
     *_in("beltrami_cli/flow/noise", "candidates.py", "cells.py", "clusters.py", "components.py"),
     *_in("beltrami_cli/flow/noise", "even_cells.py", "features.py", "grid_squares.py", "jpeg_traces.py"),

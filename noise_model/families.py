@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from images import MakeImage, random_image, varied
+from clean_images import MakeImage, random_image, varied
 from noises import to_size
 from recipes import MEDIAN, DrawRecipe, Recipe, draw_recipe, draw_recipe_of_textures
 

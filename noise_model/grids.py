@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from beltrami_cli.flow.noise.grid_squares import GridSquares
-from images import MakeImage, random_image
+from clean_images import MakeImage, random_image
 from noises import ONE_CHANNEL, NoisyColours, degrade, of_one_channel
 from observations import NoisyChannels, cut_into
 from recipes import DrawRecipe, Recipe, draw_recipe, draw_recipe_of_textures

@@ -12,7 +12,7 @@ from scipy.spatial import Delaunay, cKDTree
 
 from beltrami_cli.flow.noise.clusters import VertexClusters
 from beltrami_cli.flow.vertex_graph import Graph
-from images import MakeImage, random_image
+from clean_images import MakeImage, random_image
 from noises import ONE_CHANNEL, NoisyColours, degrade, of_one_channel
 from observations import NoisyChannels, cut_into
 from recipes import DrawRecipe, Recipe

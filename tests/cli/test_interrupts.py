@@ -41,15 +41,15 @@ MESH, GRID = (
     ("flow.manifolds.grid.manifold", "GridManifold"),
 )
 STEPS = {
-    "iterations on vertices": (("smooth", "in.ply", "out.ply", *FLOW), (*MESH, "average"), 0),
-    "iterations on pixels": (("smooth", "in.png", "out.png", *FLOW), (*GRID, "average"), 0),
+    "iterations on vertices": (("smooth", "in.ply", "out.ply", *FLOW), (*MESH, "average_in_place"), 0),
+    "iterations on pixels": (("smooth", "in.png", "out.png", *FLOW), (*GRID, "average_in_place"), 0),
     "patches of vertices": (("smooth", "in.ply", "out.ply", *PATCHES), (*MESH, "collaborate"), 0),
     "patches of pixels": (("smooth", "in.png", "out.png", *PATCHES), (*GRID, "collaborate"), 0),
     "unwrapping": (("bake", "in.sphere.ply", "out.glb", "--to", "texture"), ("surface.unwrap", "", "ask"), 1),
     "pieces": (
         ("batch", "in.png", "--out-dir", ".", "--suffix", "-out", "--report", "r.jsonl", "--pieces", "2",
          "-j", "2", *FLOW),
-        (*GRID, "average"), 2,
+        (*GRID, "average_in_place"), 2,
     ),
 }  # fmt: skip
 
