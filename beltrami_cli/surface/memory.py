@@ -15,8 +15,9 @@ from beltrami_cli.quantities import show_size
 _MIN_MEMORY = 1 << 26  # bytes that a command needs in any case
 _STATUS = Path("/proc/self/status")
 _MEMORY, _OWN_CGROUPS, _CGROUPS = Path("/proc/meminfo"), Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
-# Bytes that the program itself takes: its libraries, and for each processor the stacks of its threads.
-_PROGRAM, _PER_PROCESSOR = 160 << 20, 24 << 20
+# Bytes that the program itself takes: its libraries and the reserve of its core (4 MiB), and for each processor the
+# stacks of its threads.
+_PROGRAM, _PER_PROCESSOR = 164 << 20, 24 << 20
 
 
 def default_memory() -> int | None:
