@@ -202,7 +202,7 @@ def blend_means_in_place(
 def _means_of_residuals(
     level: CoarseLevel, manifold: Manifold, noise: BlendNoise, noisy: Stack, result: Stack
 ) -> tuple[Stack, Stack]:
-    """Average the residual of a result, and the shares of unclipped samples, of which small ones weigh more."""
+    """Average the residual of a result, and the shares of unclipped samples; small shares weigh more."""
     geometry, relatives = manifold.geometry, manifold.relative_variance
     values = large_arrays.empty(noisy.shape, np.float32)
 

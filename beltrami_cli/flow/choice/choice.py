@@ -129,7 +129,7 @@ def is_noisy(sigma: Float64s) -> bool:
 
 
 def _candidates(manifold: Manifold) -> Candidates:
-    """Return the values to try: a free parameter has those of the search range, a given one has only its own."""
+    """Return the values to try: the search range of a free parameter, the one value of a given parameter."""
     parameters, tried, free = manifold.parameters, manifold.search_range, manifold.parameters.free
     scale = manifold.beta_at(1.0)
     most = _MAX_BEFORE_PATCHES if parameters.takes_patches else max(_CONTRASTS)

@@ -37,7 +37,7 @@ def _connected(neighbours: Int64s) -> Int64s:
 
 
 def _are_small(sizes: Int64s, is_isolated: Bools, count: int) -> Bools:
-    """Mark the samples of isolated clumps that are no larger than those that form by chance among `count` samples."""
+    """Mark the samples of isolated clumps up to the size that forms by chance among `count` samples."""
     small = np.zeros(len(sizes), bool)
     for _ in range(5):  # the share converges
         # Four samples, since images may have been enlarged by two. On a lattice with eight neighbours the mean size of

@@ -93,7 +93,7 @@ def _simulated(
 
 
 def _model_of(covariances: Float64s, lost: Float64s) -> NoiseModel:
-    """Model the noise left by decoding, by its covariances and those of the loss of pilots by compression."""
+    """Model the noise after decoding by its covariances, and by how compression changes pilots."""
     # The loss of detail of the original is estimated by that of the pilot.
     doubt = _LOSS_OF_ORIGINAL * float(np.mean(np.square(sigma_of_covariances(lost))))
     fine, coarse = (np.linalg.eigvalsh(covariances[scale]) for scale in (0, 2))

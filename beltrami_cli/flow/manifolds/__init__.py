@@ -10,6 +10,6 @@ What both kinds share:
 - `manifold`, `geometry`, `domain`: the interfaces of a manifold, of its samples, and of sums and means over them.
 - `iteration`, `metric_channels`, `guides`, `moving_positions`, `beta`: one iteration, and what its metric consists of.
 - `kernel_work`, `search_range`: the workload of kernels, and the parameters that are tried.
-- `stabilised_colours`, `new_colours`: the colours that a manifold is made of, and those that are written back.
+- `stabilised_colours`, `new_colours`: the colours of a manifold, and the colours that are written back.
 - `blocks`: passes over stacks, several blocks at a time.
 """

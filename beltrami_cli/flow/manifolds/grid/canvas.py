@@ -29,7 +29,7 @@ def fill_canvas(atlas: Atlas, channels: int, colours_of: Callable[[slice], Float
 
 
 def canvas_colours(atlas: Atlas, planes: Float32s) -> NewColours:
-    """Return the colours of owned cells, which are read from the planes on demand, and those of the gutter."""
+    """Return the colours of owned cells, read from the planes on demand, and of the gutter."""
     gutter, halo = atlas.gutter, atlas.halo
     beyond = np.zeros((len(gutter.cells), len(planes)), np.float32)
     for block in large_arrays.blocks(len(beyond), large_arrays.SCATTERED):

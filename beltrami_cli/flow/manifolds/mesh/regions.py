@@ -13,7 +13,7 @@ from beltrami_cli.flow.mesh_gaussian import PASS_SCALE, PASS_VARIANCE, MeshGauss
 
 
 class SingleSamples(Regions):
-    """The samples of a mesh, each of which is its own mean."""
+    """The samples of a mesh; the mean of each is its own value."""
 
     width, noise_ratio, side = 4.0, 1.0, 1
 
